@@ -1,0 +1,175 @@
+"""The rig file: what is on the bench and what job it does. TOML; unknown keys are refused by name."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import pydantic
+from pydantic import BaseModel, ConfigDict, Field
+
+from drivers.errors import ConfigError
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class Table(BaseModel):
+    """A table of the rig file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class GrblMotion(Table):
+    """GRBL 1.1 (gnea or grblHAL) on a serial port."""
+
+    backend: Literal["grbl"] = "grbl"
+    port: str
+    baud: int = Field(115200, gt=0)
+    origin_mm: Vector
+    """Where the controller's machine coordinates put the origin of {R}."""
+    max_feed_mm_s: Positive = 20.0
+    settings: dict[str, Finite] = {}
+    """Firmware settings that must read back as given, such as "$100" = 1000."""
+
+
+class Cia402SpindleTable(Table):
+    """A CiA 402 drive on a CAN bus."""
+
+    backend: Literal["cia402"] = "cia402"
+    interface: Literal["slcan", "socketcan"] = "slcan"
+    channel: str
+    bitrate: int = Field(1_000_000, gt=0)
+    node_id: int = Field(1, ge=1, le=126)
+    speed_rpm: Positive = 45_000.0
+    max_speed_rpm: Positive = 60_000.0
+    heartbeat_s: Annotated[float, Field(ge=0.05, le=1.0)] = 0.25
+
+
+class OpenCvCamera(Table):
+    """Two V4L2 devices by stable path, or two URLs."""
+
+    backend: Literal["opencv"] = "opencv"
+    left: str
+    right: str
+    size_px: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] = (960, 540)
+    fps: Positive = 30.0
+    max_skew_s: Positive = 0.02
+    exposure: Finite | None = None
+    gain: Finite | None = None
+    white_balance_k: Positive | None = None
+
+
+class OtherBackend(BaseModel):
+    """A device of a third party: its own entry point checks the keys."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    backend: str
+
+
+class ToolTable(Table):
+    """The ball at the end of the drill, and which way the shank goes up, in {R}."""
+
+    ball_radius_mm: Annotated[float, Field(ge=0.1, le=2.0)] = 0.5
+    axis: Vector = (math.sin(math.radians(40.0)), 0.0, math.cos(math.radians(40.0)))
+
+    @property
+    def center_from_tip_mm(self) -> tuple[float, float, float]:
+        """From the tip to the centre of the ball, in {R}."""
+        length = math.hypot(*self.axis)
+        x, y, z = (self.ball_radius_mm * value / length for value in self.axis)
+        return (x, y, z)
+
+
+class BenchTable(Table):
+    """Places on the bench, in {R}."""
+
+    park_mm: Vector = (23.0, -10.0, 12.0)
+    """Where the drill is out of both pictures."""
+
+
+class RigConfig(BaseModel):
+    """A whole rig file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    schema_: Literal[1] = Field(alias="schema")
+    name: str
+    motion: GrblMotion | OtherBackend
+    spindle: Cia402SpindleTable | OtherBackend
+    camera: OpenCvCamera | OtherBackend
+    tool: ToolTable = ToolTable()
+    bench: BenchTable = BenchTable()
+    job: dict[str, Any] = {}
+    """Checked by milling.job, which knows the limits of a job."""
+
+
+BUILT_IN: Mapping[str, Mapping[str, type[Table]]] = {
+    "motion": {"grbl": GrblMotion},
+    "spindle": {"cia402": Cia402SpindleTable},
+    "camera": {"opencv": OpenCvCamera},
+}
+
+
+def load_rig(path: Path) -> RigConfig:
+    """Read and check a rig file.
+
+    Raises:
+        ConfigError: one line with file, key, what was found and what is allowed.
+    """
+    data = read_toml(path, "rig file", "`mill emulate --rig-out rig.toml` writes one to start from")
+    for kind, models in BUILT_IN.items():
+        table = data.get(kind)
+        if isinstance(table, dict):
+            data[kind] = _device_table(path, kind, table, models)
+    return _checked(RigConfig, data, path)
+
+
+def read_toml(path: Path, what: str, next_step: str) -> dict[str, Any]:
+    """The tables of a TOML file a person wrote."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such {what}; {next_step}") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot read this {what}: {error.strerror}; {next_step}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not TOML: {error}; {next_step}") from None
+
+
+def _device_table(path: Path, kind: str, table: dict[str, Any], models: Mapping[str, type[Table]]) -> BaseModel:
+    name = table.get("backend", next(iter(models)))
+    if name in models:
+        return _checked(models[name], table, path, prefix=f"{kind}.")
+    return _checked(OtherBackend, table, path, prefix=f"{kind}.")
+
+
+def _checked(model: type[Model], data: dict[str, Any], path: Path, prefix: str = "") -> Model:
+    try:
+        return model.model_validate(data)
+    except pydantic.ValidationError as error:
+        raise ConfigError(f"{path}: {_first_problem(error, model, prefix)}") from None
+
+
+def _first_problem(error: pydantic.ValidationError, model: type[BaseModel], prefix: str) -> str:
+    """One line for the first of pydantic's findings."""
+    problem = error.errors(include_url=False)[0]
+    key = prefix + ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        allowed = ", ".join(_keys_at(model, problem["loc"][:-1]))
+        return f"{key}: unknown key; allowed: {allowed}"
+    if problem["type"] == "missing":
+        return f"{key}: missing; add this key"
+    return f"{key} = {problem['input']!r}: {problem['msg']}; correct this value"
+
+
+def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """The keys that the table at ``location`` may have."""
+    for part in location:
+        annotation = model.model_fields[str(part)].annotation
+        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+            return []
+        model = annotation
+    return [field.alias or name for name, field in model.model_fields.items()]

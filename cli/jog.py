@@ -1,0 +1,46 @@
+"""`mill jog`."""
+
+from pathlib import Path
+
+import click
+
+from cli.options import emulate_option, rig_option, seed_option, specimen_option
+from cli.rig import rig_for
+
+
+@click.command()
+@rig_option
+@emulate_option
+@specimen_option
+@seed_option
+@click.option("--home", "home_first", is_flag=True, help="Home first; a position is trusted only after homing.")
+@click.option("--to", "target_mm", type=float, nargs=3, metavar="X Y Z", help="Go to this place in {R}, in mm.")
+@click.option(
+    "--by", "step_mm", type=float, nargs=3, metavar="DX DY DZ", help="Go this far from where the tip is, in mm."
+)
+@click.option("--feed", "feed_mm_s", type=click.FloatRange(0.1, 20.0), default=2.0, show_default=True, help="mm/s")
+def jog(
+    rig: Path | None,
+    emulate: bool,
+    specimen: Path | None,
+    seed: int,
+    home_first: bool,
+    target_mm: tuple[float, float, float] | None,
+    step_mm: tuple[float, float, float] | None,
+    feed_mm_s: float,
+) -> None:
+    """Move the drill by hand, or home it; prints where the tip is. The spindle stays off."""
+    if target_mm and step_mm:
+        raise click.UsageError("--to and --by exclude each other; give one")
+    with rig_for(rig, emulate=emulate, specimen=specimen, seed=seed) as bench, bench.open_motion() as motion:
+        if home_first:
+            motion.home()
+        if step_mm:
+            here = motion.status().position_mm
+            target_mm = (here[0] + step_mm[0], here[1] + step_mm[1], here[2] + step_mm[2])
+        if target_mm:
+            motion.start_move(target_mm, feed_mm_per_s=feed_mm_s)
+            motion.wait_until_idle(timeout_s=120.0)
+        status = motion.status()
+        x, y, z = status.position_mm
+        click.echo(f"{status.state.value}  tip in {{R}}: x {x:.3f}  y {y:.3f}  z {z:.3f} mm")

@@ -1,0 +1,212 @@
+"""Where devices get their concrete classes: from a rig file, or from a virtual bench in this process.
+
+Everything past this file sees only the interfaces of `drivers`.
+"""
+
+import contextlib
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+import click
+
+from cli.config import Cia402SpindleTable, GrblMotion, OpenCvCamera, OtherBackend, RigConfig, load_rig
+from drivers.backends import load_backend
+from drivers.camera.interface import StereoCamera
+from drivers.clock import Clock, SystemClock
+from drivers.errors import ConfigError, ConnectionLostError
+from drivers.motion.interface import MotionController
+from drivers.spindle.interface import Spindle
+
+EMULATOR_START_S = 120.0
+"""The first start of a virtual bench compiles its renderer."""
+
+
+class Rig(Protocol):
+    """A bench whose devices can be opened, each on its own, and a clock that they share."""
+
+    config: RigConfig
+    clock: Clock
+
+    def open_motion(self) -> MotionController:
+        """Open the motion controller."""
+
+    def open_spindle(self) -> Spindle:
+        """Open the spindle."""
+
+    def open_camera(self) -> StereoCamera:
+        """Open both cameras."""
+
+    def truth(self) -> dict[str, Any] | None:
+        """What a virtual bench knows about itself, for scoring after the work is done; None on hardware."""
+
+
+@dataclass
+class WiredRig:
+    """Devices on the wires that a rig file names."""
+
+    config: RigConfig
+    clock: Clock
+    read_truth: Callable[[], dict[str, Any] | None] = lambda: None
+
+    def open_motion(self) -> MotionController:
+        """Open the motion controller of the rig file."""
+        table = self.config.motion
+        if isinstance(table, OtherBackend):
+            return cast(MotionController, load_backend("motion", table.backend)(_raw(table), self.clock))
+        return open_grbl(table, self.clock)
+
+    def open_spindle(self) -> Spindle:
+        """Open the spindle of the rig file."""
+        table = self.config.spindle
+        if isinstance(table, OtherBackend):
+            return cast(Spindle, load_backend("spindle", table.backend)(_raw(table), self.clock))
+        return open_cia402(table, self.clock)
+
+    def open_camera(self) -> StereoCamera:
+        """Open the stereo camera of the rig file."""
+        table = self.config.camera
+        if isinstance(table, OtherBackend):
+            return cast(StereoCamera, load_backend("camera", table.backend)(_raw(table), self.clock))
+        return open_opencv(table, self.clock)
+
+    def truth(self) -> dict[str, Any] | None:
+        """The virtual bench's truth, where there is one."""
+        return self.read_truth()
+
+
+def _raw(table: OtherBackend) -> Mapping[str, Any]:
+    return table.model_dump(exclude={"backend"})
+
+
+def open_grbl(table: GrblMotion, clock: Clock) -> MotionController:
+    """GRBL on its serial port."""
+    from drivers.motion.grbl.driver import GrblController
+    from drivers.motion.serial_line import open_serial
+
+    line = open_serial(table.port, table.baud)
+    try:
+        return GrblController(
+            line,
+            clock,
+            origin_mm=table.origin_mm,
+            max_feed_mm_per_s=table.max_feed_mm_s,
+            expected_settings=table.settings,
+        )
+    except BaseException:
+        line.close()
+        raise
+
+
+def open_cia402(table: Cia402SpindleTable, clock: Clock) -> Spindle:
+    """A CiA 402 drive on its bus."""
+    from drivers.spindle.canbus import open_bus
+    from drivers.spindle.cia402 import Cia402Spindle
+
+    bus = open_bus(table.interface, table.channel, table.bitrate)
+    try:
+        return Cia402Spindle(
+            bus, clock, node_id=table.node_id, max_speed_rpm=table.max_speed_rpm, heartbeat_s=table.heartbeat_s
+        )
+    except BaseException:
+        bus.shutdown()
+        raise
+
+
+def open_opencv(table: OpenCvCamera, clock: Clock) -> StereoCamera:
+    """Two OpenCV sources as one stereo pair."""
+    from drivers.camera.opencv import OpenCvSource
+    from drivers.camera.stereo import StereoPair
+
+    def source(device: str) -> OpenCvSource:
+        return OpenCvSource(
+            device,
+            clock,
+            size_px=table.size_px,
+            fps=table.fps,
+            exposure=table.exposure,
+            gain=table.gain,
+            white_balance_k=table.white_balance_k,
+        )
+
+    left = source(table.left)
+    try:
+        right = source(table.right)
+    except BaseException:
+        left.close()
+        raise
+    return StereoPair(left, right, clock, size_px=table.size_px, max_skew_s=table.max_skew_s)
+
+
+@contextlib.contextmanager
+def rig_for(rig_file: Path | None, *, emulate: bool, specimen: Path | None, seed: int) -> Iterator[Rig]:
+    """The rig of a file, or a virtual bench that lives as long as the with-statement.
+
+    Raises:
+        click.UsageError: neither or both were asked for.
+        ConfigError: a file that cannot be used; nothing was opened.
+    """
+    if emulate == (rig_file is not None):
+        raise click.UsageError("give either --emulate (a virtual bench) or --rig FILE (devices)")
+    if rig_file is not None:
+        if specimen is not None:
+            raise click.UsageError("--specimen belongs to --emulate; with --rig the specimen is what lies on the bench")
+        yield WiredRig(load_rig(rig_file), SystemClock())
+        return
+    with _served_bench(specimen, seed) as rig:
+        yield rig
+
+
+@contextlib.contextmanager
+def _served_bench(specimen: Path | None, seed: int) -> Iterator[WiredRig]:
+    """Start `mill emulate` as its own process, on ptys and ports, for as long as the with-statement."""
+    if specimen is not None and not specimen.is_file():
+        raise ConfigError(f"{specimen}: no such specimen file; docs/specimen.md says how to write one")
+    with tempfile.TemporaryDirectory(prefix="mill-bench-") as folder:
+        rig_file, truth_file, log_file = (Path(folder) / name for name in ("rig.toml", "truth.json", "log.txt"))
+        command = [sys.executable, "-m", "cli.main", "emulate", "--seed", str(seed), "--until-stdin-closes"]
+        command += ["--rig-out", str(rig_file), "--truth-out", str(truth_file)]
+        command += ["--specimen", str(specimen)] if specimen else []
+        with log_file.open("w") as log:
+            # A session of its own: Ctrl-C at the terminal is for the command, which still needs the bench to stop well.
+            process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+            )
+        try:
+            _wait_for(rig_file, process, log_file)
+
+            def read_truth() -> dict[str, Any] | None:
+                _end(process)
+                return cast(dict[str, Any], json.loads(truth_file.read_text())) if truth_file.is_file() else None
+
+            yield WiredRig(load_rig(rig_file), SystemClock(), read_truth)
+        finally:
+            _end(process)
+
+
+def _wait_for(rig_file: Path, process: "subprocess.Popen[bytes]", log_file: Path) -> None:
+    clock = SystemClock()
+    deadline_s = clock.now_s() + EMULATOR_START_S
+    while not rig_file.is_file():
+        if process.poll() is not None:
+            said = log_file.read_text().strip().splitlines()
+            reason = said[-1].removeprefix("mill: ") if said else f"exit code {process.returncode}"
+            raise ConfigError(reason) if process.returncode == 2 else ConnectionLostError(f"virtual bench: {reason}")
+        if clock.now_s() > deadline_s:
+            raise ConnectionLostError(f"virtual bench: not ready after {EMULATOR_START_S:.0f} s; see `mill emulate`")
+        clock.sleep_s(0.05)
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    if process.stdin is not None and not process.stdin.closed:
+        process.stdin.close()
+    try:
+        process.wait(timeout=10.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
