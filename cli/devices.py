@@ -1,0 +1,1 @@
+"""`mill devices`."""
