@@ -1,0 +1,186 @@
+"""What the keypoint networks learn from, and how they are judged."""
+
+from collections.abc import Mapping
+from typing import Any, cast
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from vision.keypoints import WINDOW_CELLS, Keypoint, _Finder
+from vision.networks import CELL_PX, COARSE, CROP_PX, PICTURE_PX, KeypointNet, normalized
+from vision.runtime import Image, Network
+from vision.training import Batch, Data, Recipe, relit
+
+CROPS_PER_PICTURE = 3
+COARSE_SIGMA_CELLS = 0.7
+FINE_SIGMA_CELLS = 1.2
+NEAR_PX = 24
+"""The second look is trained on crops whose centre misses the point by at most this, as the first look may."""
+
+
+class KeypointTask:
+    """Find ``names`` in a picture.
+
+    Data: ``pictures`` (N, 540, 960, 3) uint8, ``points`` (N, K, 2) px, NaN where outside the picture, and ``visible``
+    (N, K) bool.
+    """
+
+    recipes: Mapping[str, Recipe] = {"default": Recipe(steps=4000, batch=8, learning_rate=2e-3)}
+
+    def __init__(self, name: str, names: tuple[str, ...]) -> None:
+        self.name = name
+        self.names = names
+
+    def network(self) -> nn.Module:
+        """A fresh network."""
+        return KeypointNet(len(self.names))
+
+    def batch(self, data: Data, size: int, rng: np.random.Generator) -> Batch:
+        """``size`` whole pictures, reduced, and some crops of each."""
+        reduced, crops, targets, wanted, present = [], [], [], [], []
+        coarse_targets, coarse_present = [], []
+        for index in rng.integers(len(data["pictures"]), size=size):
+            picture = data["pictures"][index]
+            points, visible = data["points"][index], data["visible"][index]
+            small = cv2.resize(picture, None, fx=1 / COARSE, fy=1 / COARSE, interpolation=cv2.INTER_AREA)
+            small = cv2.copyMakeBorder(small, 0, 144 - small.shape[0], 0, 0, cv2.BORDER_REPLICATE)
+            reduced.append(relit(small.astype(np.uint8), rng))
+            coarse_targets.append(np.nan_to_num(points))
+            coarse_present.append(visible)
+            for _ in range(CROPS_PER_PICTURE):
+                k = int(rng.integers(len(self.names)))
+                corner = self._corner(points[k], rng)
+                place = points[k] - corner
+                inside = bool(visible[k]) and bool((place > 2).all() and (place < CROP_PX - 3).all())
+                crop = picture[corner[1] : corner[1] + CROP_PX, corner[0] : corner[0] + CROP_PX]
+                crops.append(relit(crop, rng))
+                targets.append(place if inside else np.zeros(2))
+                present.append(inside)
+                wanted.append(k)
+        return {
+            "reduced": _as_input(reduced),
+            "coarse_targets": torch.tensor(np.array(coarse_targets), dtype=torch.float32),
+            "coarse_present": torch.tensor(np.array(coarse_present)),
+            "crops": _as_input(crops),
+            "targets": torch.tensor(np.array(targets), dtype=torch.float32),
+            "present": torch.tensor(present),
+            "point": torch.tensor(wanted),
+        }
+
+    def _corner(self, point: npt.NDArray[Any], rng: np.random.Generator) -> npt.NDArray[np.int64]:
+        if np.isfinite(point).all() and rng.random() < 0.8:
+            center = point + rng.uniform(-NEAR_PX, NEAR_PX, size=2)
+        else:
+            center = rng.uniform((0, 0), PICTURE_PX)
+        corner = np.round(center - CROP_PX // 2).astype(np.int64)
+        return np.clip(corner, 0, np.array(PICTURE_PX) - CROP_PX)
+
+    def loss(self, network: nn.Module, batch: Batch) -> Tensor:
+        """Where it is (both looks), how exactly, how sure, and whether at all."""
+        net = cast(KeypointNet, network)
+        heat = net.look(batch["reduced"]).float()
+        step = COARSE * CELL_PX
+        coarse = _cross_entropy(heat, (batch["coarse_targets"] - (step - 1) / 2) / step, COARSE_SIGMA_CELLS)
+        coarse = _mean_where(coarse, batch["coarse_present"])
+
+        maps = net.look_closely(batch["crops"], batch["point"]).float()
+        present = batch["present"]
+        cells = (batch["targets"] - 0.5) / CELL_PX
+        fine = _mean_where(_cross_entropy(maps[:, :1], cells[:, None], FINE_SIGMA_CELLS)[:, 0], present)
+        place, log_sigma, visible = _read(maps)
+        seen = functional.binary_cross_entropy_with_logits(visible, present.float())
+        error = (_near(maps[:, 0], cells) - cells) * CELL_PX
+        exact = _mean_where(functional.smooth_l1_loss(error, torch.zeros_like(error), reduction="none").sum(1), present)
+        missed = ((place - cells).detach() * CELL_PX).square().sum(1).clamp(max=400.0)
+        sure = _mean_where(missed / (2 * torch.exp(2 * log_sigma)) + 2 * log_sigma, present)
+        return coarse + fine + exact + 0.2 * sure + seen
+
+    def example(self) -> dict[str, Tensor]:
+        """A picture."""
+        noise = torch.randint(0, 256, (PICTURE_PX[1], PICTURE_PX[0], 3), generator=torch.Generator().manual_seed(0))
+        return {"picture": noise.to(torch.uint8)}
+
+    def calibrate(self, network: Network, data: Data) -> dict[str, float]:
+        """``sigma_scale`` makes the normalised error's 68 % quantile what a 2-D Gaussian has."""
+        pairs = [(found, truth) for found, truth, seen in self._found(network, data) if seen and found.visible]
+        ratios = [np.hypot(f.x_px - t[0], f.y_px - t[1]) / f.sigma_px for f, t in pairs]
+        return {"sigma_scale": float(np.quantile(ratios, 0.68) / np.sqrt(-2 * np.log(0.32)))}
+
+    def judge(self, network: Network, data: Data) -> dict[str, float]:
+        """RMSE over what was found, worst case, what was missed and what was invented."""
+        figures: dict[str, float] = {}
+        found = self._found(network, data)
+        for k, name in enumerate(self.names):
+            mine = found[k :: len(self.names)]
+            errors = np.array([np.hypot(f.x_px - t[0], f.y_px - t[1]) for f, t, seen in mine if seen and f.visible])
+            ratios = np.array(
+                [np.hypot(f.x_px - t[0], f.y_px - t[1]) / f.sigma_px for f, t, seen in mine if seen and f.visible]
+            )
+            there = [f.visible for f, _, seen in mine if seen]
+            absent = [f.visible for f, _, seen in mine if not seen]
+            figures[f"{name}_rmse_px"] = float(np.sqrt(np.mean(errors**2))) if len(errors) else float("nan")
+            figures[f"{name}_median_px"] = float(np.median(errors)) if len(errors) else float("nan")
+            figures[f"{name}_worst_px"] = float(errors.max()) if len(errors) else float("nan")
+            figures[f"{name}_normalized_error"] = float(np.sqrt(np.mean(ratios**2) / 2)) if len(errors) else float("nan")
+            figures[f"{name}_missed"] = 1.0 - float(np.mean(there)) if there else 0.0
+            figures[f"{name}_invented"] = float(np.mean(absent)) if absent else 0.0
+        figures["pictures"] = float(len(data["pictures"]))
+        return figures
+
+    def _found(self, network: Network, data: Data) -> list[tuple[Keypoint, npt.NDArray[Any], bool]]:
+        finder = _Finder(network)
+        return [
+            (found, data["points"][index][k], bool(data["visible"][index][k]))
+            for index in range(len(data["pictures"]))
+            for k, found in enumerate(finder.find_all(np.asarray(data["pictures"][index])))
+        ]
+
+
+def _as_input(pictures: list[Image]) -> Tensor:
+    return normalized(torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2).float())
+
+
+def _grid(heat: Tensor) -> tuple[Tensor, Tensor]:
+    return torch.arange(heat.shape[-2], dtype=torch.float32), torch.arange(heat.shape[-1], dtype=torch.float32)
+
+
+def _cross_entropy(heat: Tensor, cells: Tensor, sigma_cells: float) -> Tensor:
+    """(N, K, h, w) log-probabilities against a Gaussian at (N, K, 2) cells -> (N, K)."""
+    rows, columns = _grid(heat)
+    y = torch.exp(-((rows - cells[..., 1:]) ** 2) / (2 * sigma_cells**2))
+    x = torch.exp(-((columns - cells[..., :1]) ** 2) / (2 * sigma_cells**2))
+    target = (y[..., :, None] * x[..., None, :]).flatten(2)
+    target = target / target.sum(2, keepdim=True).clamp(min=1e-9)
+    return -(target * functional.log_softmax(heat.flatten(2), dim=2)).sum(2)
+
+
+def _near(heat: Tensor, cells: Tensor) -> Tensor:
+    """Mean place of the (N, h, w) heat within a window round the true place -> (N, 2) cells."""
+    rows, columns = _grid(heat)
+    y = (rows - cells[:, 1:].round()).abs() <= WINDOW_CELLS
+    x = (columns - cells[:, :1].round()).abs() <= WINDOW_CELLS
+    window = y[:, :, None] & x[:, None, :]
+    weight = torch.softmax(heat.masked_fill(~window, -1e4).flatten(1), dim=1).reshape(heat.shape)
+    return torch.stack([(weight.sum(1) * columns).sum(1), (weight.sum(2) * rows).sum(1)], dim=1)
+
+
+def _read(maps: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Place (cells), log sigma and visible logit at the peak of (N, 3, h, w) maps, as decoding reads them."""
+    heat = maps[:, 0]
+    peak = heat.flatten(1).argmax(1)
+    cells = torch.stack([peak % heat.shape[2], peak // heat.shape[2]], dim=1).float()
+    rows, columns = _grid(heat)
+    y = (rows - cells[:, 1:]).abs() <= WINDOW_CELLS
+    x = (columns - cells[:, :1]).abs() <= WINDOW_CELLS
+    window = y[:, :, None] & x[:, None, :]
+    weight = torch.softmax(heat.detach().masked_fill(~window, -1e4).flatten(1), dim=1).reshape(heat.shape)
+    place = torch.stack([(weight.sum(1) * columns).sum(1), (weight.sum(2) * rows).sum(1)], dim=1)
+    return place, (weight * maps[:, 1]).sum((1, 2)), (weight * maps[:, 2]).sum((1, 2))
+
+
+def _mean_where(values: Tensor, mask: Tensor) -> Tensor:
+    return (values * mask).sum() / mask.sum().clamp(min=1)

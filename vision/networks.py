@@ -1,0 +1,123 @@
+"""The two networks, in torch: what `mill train` trains and exports. Running them needs only `vision.runtime`."""
+
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+PICTURE_PX = (960, 540)
+"""Width and height of the pictures that the keypoint network is exported for."""
+COARSE = 4
+"""The first look is at a picture this much smaller."""
+CELL_PX = 2
+"""Every answer comes on a grid of 2 x 2 pixels."""
+CROP_PX = 128
+"""Side of the second look, at full resolution."""
+_PADDED_PX = (960, 576)
+
+
+class _Block(nn.Sequential):
+    def __init__(self, inputs: int, outputs: int) -> None:
+        layers: list[nn.Module] = []
+        for width in (inputs, outputs):
+            layers += [
+                nn.Conv2d(width, outputs, 3, padding=1, bias=False),
+                nn.BatchNorm2d(outputs),
+                nn.ReLU(inplace=True),
+            ]
+        super().__init__(*layers)
+
+
+class UNet(nn.Module):
+    """A small U-Net on a picture folded 2 x 2, so that the costly first layers run at half resolution."""
+
+    def __init__(self, inputs: int, outputs: int, widths: tuple[int, ...]) -> None:
+        super().__init__()
+        self.fold = nn.PixelUnshuffle(CELL_PX)
+        below = [inputs * CELL_PX**2, *widths]
+        self.down = nn.ModuleList(_Block(a, b) for a, b in zip(below, widths, strict=False))
+        self.up = nn.ModuleList(_Block(a + b, b) for a, b in zip(widths[:0:-1], widths[-2::-1], strict=True))
+        self.head = nn.Conv2d(widths[0], outputs, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, inputs, H, W) -> (N, outputs, H/2, W/2)."""
+        x = self.fold(x)
+        levels: list[Tensor] = []
+        for index, block in enumerate(self.down):
+            x = block(functional.max_pool2d(x, 2) if index else x)
+            levels.append(x)
+        levels.pop()
+        for block in self.up:
+            x = functional.interpolate(x, scale_factor=2.0, mode="nearest")
+            x = block(torch.cat([x, levels.pop()], dim=1))
+        return cast(Tensor, self.head(x))
+
+
+class KeypointNet(nn.Module):
+    """Finds each of ``points`` once: roughly in the whole picture, then exactly in a crop round the rough place.
+
+    The fine half answers three maps per point: log-probability of the place (``heat``), log of the expected error
+    in pixels, and the logit that the point is visible at all.
+    """
+
+    def __init__(self, points: int) -> None:
+        super().__init__()
+        self.points = points
+        self.coarse = UNet(3, points, (12, 24, 32, 48))
+        self.fine = UNet(3, 3 * points, (12, 24, 40, 56))
+
+    def look(self, pictures: Tensor) -> Tensor:
+        """The rough look: (N, 3, 144, 240) reduced pictures -> (N, points, 72, 120) heat."""
+        return cast(Tensor, self.coarse(pictures))
+
+    def look_closely(self, crops: Tensor, point: Tensor) -> Tensor:
+        """The close look: (N, 3, S, S) crops, (N,) index of the point sought -> (N, 3, S/2, S/2) maps."""
+        maps = self.fine(crops)
+        maps = maps.reshape(maps.shape[0], self.points, 3, *maps.shape[2:])
+        return cast(Tensor, maps[torch.arange(maps.shape[0]), point])
+
+    def forward(self, picture: Tensor) -> tuple[Tensor, Tensor]:
+        """(540, 960, 3) uint8 -> corners (points, 2) of the crops in px, and their maps (points, 3, S/2, S/2)."""
+        x = normalized(picture.permute(2, 0, 1)[None].float())
+        reduced = functional.avg_pool2d(x, COARSE)
+        reduced = functional.pad(reduced, (0, 0, 0, (_PADDED_PX[1] - PICTURE_PX[1]) // COARSE), mode="replicate")
+        heat = self.look(reduced)
+        cells = heat.flatten(2).argmax(2)[0]
+        step = COARSE * CELL_PX
+        center = torch.stack([cells % heat.shape[3], cells // heat.shape[3]], dim=1) * step + step // 2
+        corners = torch.stack(
+            [
+                (center[:, 0] - CROP_PX // 2).clamp(0, PICTURE_PX[0] - CROP_PX),
+                (center[:, 1] - CROP_PX // 2).clamp(0, PICTURE_PX[1] - CROP_PX),
+            ],
+            dim=1,
+        )
+        side = torch.arange(CROP_PX)
+        crops = [
+            x.index_select(2, corners[k, 1] + side).index_select(3, corners[k, 0] + side) for k in range(self.points)
+        ]
+        maps = [self.fine(crop)[:, 3 * k : 3 * k + 3] for k, crop in enumerate(crops)]
+        return corners, torch.cat(maps)
+
+
+class CompletionNet(nn.Module):
+    """Reads how far each place of the kerf is milled, from the picture now and the picture before milling.
+
+    Six channels in; six maps out, see ``vision.completion``.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.body = UNet(6, 5, (16, 24, 40, 64))
+
+    def forward(self, crops: Tensor) -> Tensor:
+        """(N, S, S, 6) uint8 -> (N, 5, S/2, S/2): completion, upper bound, and logits of kerf, drill, penetration."""
+        maps = self.body(normalized(crops.permute(0, 3, 1, 2).float()))
+        completion = torch.sigmoid(maps[:, :1])
+        return torch.cat([completion, completion + functional.softplus(maps[:, 1:2]), maps[:, 2:]], dim=1)
+
+
+def normalized(x: Tensor) -> Tensor:
+    """0-255 -> about -1..1."""
+    return (x - 128.0) / 64.0
