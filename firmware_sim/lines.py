@@ -91,7 +91,7 @@ class InProcessBus(can.BusABC):
         if self._wire is not node:
             clock.attach(self._wire.advance_to)
 
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002  (never waits)
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Give a frame to the arbitration at the present virtual time."""
         if msg.is_extended_id or msg.is_remote_frame:
             raise can.CanOperationError(f"{self.channel_info}: only standard data frames are carried, not {msg}")
