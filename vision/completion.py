@@ -25,14 +25,14 @@ THROUGH_FROM = 0.5
 
 @dataclass(frozen=True)
 class CompletionReading:
-    """What one picture says about the ring. Completion is the share of the bone's thickness that is gone: 1 is through."""
+    """What one picture says about the ring. Completion is the share of the thickness that is gone; 1 is through."""
 
     completion: npt.NDArray[np.float64]
     """(n,) best estimate, 0..1."""
     upper: npt.NDArray[np.float64]
     """(n,) bound that the truth exceeds in at most 2.5 % of cases; never below ``completion``."""
     visible: npt.NDArray[np.bool_]
-    """(n,) False where the drill hides the point, or it lies outside the picture: the other figures mean nothing there."""
+    """(n,) False where the drill hides it or it lies outside the picture: its other figures mean nothing."""
     box_px: tuple[float, float, float, float] | None
     """x0, y0, x1, y1 of the kerf in the picture; None while there is none."""
     heat_map: npt.NDArray[np.float32]
@@ -68,7 +68,7 @@ class CompletionReader:
             image: the left picture now.
             ring_px: (n, 2) the ring's points, as projected from the unmilled surface.
             radius_px: the ring's radius at the picture's mean scale.
-            reference: the left picture taken just before milling, from the same place; without one the reading is less sure.
+            reference: the left picture taken just before milling; without one the reading is less sure.
         """
         crop_from_image = crop_affine(ring_px, radius_px)
         before = None if reference is None else cut(reference, crop_from_image)
@@ -91,7 +91,9 @@ class CompletionReader:
         )
 
 
-def crop_affine(ring_px: npt.NDArray[np.float64], radius_px: float, *, side_px: int = CROP_PX) -> npt.NDArray[np.float64]:
+def crop_affine(
+    ring_px: npt.NDArray[np.float64], radius_px: float, *, side_px: int = CROP_PX
+) -> npt.NDArray[np.float64]:
     """(2, 3) map from the picture into a crop that has the ring in its middle, ``RING_PX`` in radius."""
     center = (ring_px.min(axis=0) + ring_px.max(axis=0)) / 2.0
     scale = RING_PX / radius_px

@@ -53,7 +53,9 @@ class CompletionTask:
             row, column = (int(np.clip(round(rng.normal(middle, 1.5)), 0, spare)) for _ in range(2))
             y, x = row * CELL_PX, column * CELL_PX
             crop = np.asarray(data["crops"][index, y : y + CROP_PX, x : x + CROP_PX])
-            label = np.asarray(data["labels"][index, row : row + CROP_PX // CELL_PX, column : column + CROP_PX // CELL_PX])
+            label = np.asarray(
+                data["labels"][index, row : row + CROP_PX // CELL_PX, column : column + CROP_PX // CELL_PX]
+            )
             if rng.random() < 0.5:
                 crop, label = crop[:, ::-1], label[:, ::-1]
             seed = int(rng.integers(2**31))

@@ -21,10 +21,13 @@ ROW_PX = 2.0
 """Most that a match may leave its row by, beyond the region's median: more is another object or a mirror image."""
 RELIEF_PX = 5.0
 """Most that a match may stray from the smooth surface through the region: a drill, a hair, a highlight stand off."""
+UNEXPLAINED = 0.5
+"""Largest share of a patch's contrast that may differ between the two pictures."""
 GLARE = 250
 """A pixel whose darkest channel reaches this carries no texture."""
 PATCH_PX = 9
 MARGIN_PX = 48
+_SPREAD = 48.0
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,9 @@ def match(
     flow = _flow(one, two)
     back = _flow(two, one)
 
-    rows, columns = np.mgrid[inner[1] - outer[1] : inner[3] - outer[1] : STEP_PX, inner[0] - outer[0] : inner[2] - outer[0] : STEP_PX]
+    rows, columns = np.mgrid[
+        inner[1] - outer[1] : inner[3] - outer[1] : STEP_PX, inner[0] - outer[0] : inner[2] - outer[0] : STEP_PX
+    ]
     x, y = columns.ravel(), rows.ravel()
     there = flow[y, x].astype(np.float64)
     target = np.stack([x + there[:, 0], y + there[:, 1]], axis=1)
@@ -99,7 +104,9 @@ def match(
     if not good.any():
         return _nothing()
     good &= np.abs(there[:, 1] - np.median(there[good, 1])) < ROW_PX
-    sigma = _sigma(one, two, flow, x, y, miss)
+    unexplained = _unexplained(one, two, flow)
+    good &= unexplained[y, x] < UNEXPLAINED * _SPREAD**2
+    sigma = _sigma(one, unexplained[y, x], x, y, miss)
     good &= _near_surface(x / size[0], y / size[1], there[:, 0], good)
     left_px = np.stack([x + outer[0], y + outer[1]], axis=1).astype(np.float64)[good]
     right_px = target[good] @ shift[:, :2].T + shift[:, 2]
@@ -115,7 +122,7 @@ def _even(picture: Image) -> npt.NDArray[np.uint8]:
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
     slow = cv2.GaussianBlur(grey, (0, 0), 12.0)
     spread = np.sqrt(cv2.GaussianBlur((grey - slow) ** 2, (0, 0), 12.0)) + 3.0
-    return np.clip(128.0 + 48.0 * (grey - slow) / spread, 0, 255).astype(np.uint8)
+    return np.clip(128.0 + _SPREAD * (grey - slow) / spread, 0, 255).astype(np.uint8)
 
 
 def _flow(one: npt.NDArray[np.uint8], two: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
@@ -128,24 +135,28 @@ def _flow(one: npt.NDArray[np.uint8], two: npt.NDArray[np.uint8]) -> npt.NDArray
     return np.asarray(flow, dtype=np.float32)
 
 
+def _unexplained(
+    one: npt.NDArray[np.uint8], two: npt.NDArray[np.uint8], flow: npt.NDArray[np.float32]
+) -> npt.NDArray[np.float32]:
+    """Mean square difference between each patch and the one it is matched with."""
+    height, width = one.shape
+    grid_x, grid_y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    moved = cv2.remap(two, grid_x + flow[..., 0], grid_y + flow[..., 1], cv2.INTER_LINEAR)
+    difference = (moved.astype(np.float32) - one.astype(np.float32)) ** 2
+    return np.asarray(cv2.boxFilter(difference, -1, (PATCH_PX, PATCH_PX)), dtype=np.float32)
+
+
 def _sigma(
     one: npt.NDArray[np.uint8],
-    two: npt.NDArray[np.uint8],
-    flow: npt.NDArray[np.float32],
+    unexplained: npt.NDArray[np.float32],
     x: npt.NDArray[np.intp],
     y: npt.NDArray[np.intp],
     miss: npt.NDArray[np.float64],
 ) -> npt.NDArray[np.float64]:
     """Least-squares error of a shift along x: what the patch leaves unexplained over the slope it has to hold on to."""
-    height, width = one.shape
-    grid_x, grid_y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    moved = cv2.remap(two, grid_x + flow[..., 0], grid_y + flow[..., 1], cv2.INTER_LINEAR)
-    residual = (moved.astype(np.float32) - one.astype(np.float32)) ** 2
     slope = cv2.Scharr(one, cv2.CV_32F, 1, 0, scale=1.0 / 32.0) ** 2
-    window = (PATCH_PX, PATCH_PX)
-    unexplained = cv2.boxFilter(residual, -1, window)
-    hold = cv2.boxFilter(slope, -1, window) * PATCH_PX**2
-    variance = unexplained[y, x] / (hold[y, x] + 1.0) + 0.5 * miss**2 + 0.03**2
+    hold = cv2.boxFilter(slope, -1, (PATCH_PX, PATCH_PX)) * PATCH_PX**2
+    variance = unexplained / (hold[y, x] + 1.0) + 0.5 * miss**2 + 0.03**2
     return np.asarray(np.sqrt(variance), dtype=np.float64)
 
 

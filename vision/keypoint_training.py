@@ -125,7 +125,9 @@ class KeypointTask:
             figures[f"{name}_rmse_px"] = float(np.sqrt(np.mean(errors**2))) if len(errors) else float("nan")
             figures[f"{name}_median_px"] = float(np.median(errors)) if len(errors) else float("nan")
             figures[f"{name}_worst_px"] = float(errors.max()) if len(errors) else float("nan")
-            figures[f"{name}_normalized_error"] = float(np.sqrt(np.mean(ratios**2) / 2)) if len(errors) else float("nan")
+            figures[f"{name}_normalized_error"] = (
+                float(np.sqrt(np.mean(ratios**2) / 2)) if len(errors) else float("nan")
+            )
             figures[f"{name}_missed"] = 1.0 - float(np.mean(there)) if there else 0.0
             figures[f"{name}_invented"] = float(np.mean(absent)) if absent else 0.0
         figures["pictures"] = float(len(data["pictures"]))

@@ -99,7 +99,7 @@ def decode(maps: Floats, corner_px: npt.NDArray[Any], *, sigma_scale: float = 1.
     weight = np.exp(heat[rows, columns] - heat[row, column])
     weight /= weight.sum()
     y_cell, x_cell = np.mgrid[rows, columns][:, : weight.shape[0], : weight.shape[1]]
-    probability = 1.0 / (1.0 + np.exp(-float((weight * visible[rows, columns]).sum())))
+    probability = float(1.0 / (1.0 + np.exp(-(weight * visible[rows, columns]).sum())))
     return Keypoint(
         x_px=float(corner_px[0] + (weight * x_cell).sum() * CELL_PX + 0.5),
         y_px=float(corner_px[1] + (weight * y_cell).sum() * CELL_PX + 0.5),

@@ -119,7 +119,9 @@ def train(task: Task, data: Data, recipe: Recipe, *, seed: int, checkpoint: Path
     return network.eval()
 
 
-def finish(task: Task, network: nn.Module, path: Path, validation: Data, test: Data, about: Mapping[str, Any]) -> dict[str, float]:
+def finish(
+    task: Task, network: nn.Module, path: Path, validation: Data, test: Data, about: Mapping[str, Any]
+) -> dict[str, float]:
     """Export a trained network to ``path``, calibrate it, judge it, and enter it into the manifest beside it.
 
     Returns:

@@ -1,0 +1,154 @@
+"""`mill train` and `mill evaluate`."""
+
+import json
+import time
+from importlib.metadata import version
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from cli.options import json_option
+
+TASKS = ("tip", "landmarks", "completion")
+
+task_argument = click.argument("task", type=click.Choice(TASKS))
+seed_option = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Draws everything.")
+
+
+@click.command()
+@task_argument
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Folder of the pictures: train, validation and test in it. What is missing is rendered, and kept. "
+    "[default: a folder beside --out]",
+)
+@click.option("--recipe", type=click.Choice(["default"]), default="default", show_default=True)
+@seed_option
+@click.option(
+    "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, metavar="FILE", help="ONNX file."
+)
+def train(task: str, data: Path | None, recipe: str, seed: int, out: Path) -> None:
+    """Train a network on rendered pictures, and write it with its hash and its held-out figures.
+
+    Training resumes where it was killed: from FILE.checkpoint, which is removed at the end.
+    """
+    from studies.datasets import SPLITS, ensure
+    from vision.tasks import task_named
+    from vision.training import finish, load_data
+    from vision.training import train as fit
+
+    out.parent.mkdir(parents=True, exist_ok=True)
+    folder = data or out.with_suffix(".data")
+    learned = task_named(task)
+    settings = learned.recipes[recipe]
+    console = Console(stderr=True)
+    with _progress(console) as progress:
+        for split in SPLITS:
+            bar = progress.add_task(f"{split} pictures", total=None)
+            ensure(
+                task,
+                split,
+                folder,
+                seed=seed,
+                progress=lambda n, of, bar=bar: progress.update(bar, completed=n, total=of),
+            )
+        bar = progress.add_task("training", total=settings.steps)
+        checkpoint = out.with_name(out.name + ".checkpoint")
+
+        def step(done: int, steps: int, loss: float) -> None:
+            progress.update(bar, completed=done, total=steps, description=f"training, loss {loss:.3f}")
+
+        network = fit(learned, load_data(folder, "train"), settings, seed=seed, checkpoint=checkpoint, progress=step)
+    about = {"task": task, "recipe": recipe, "seed": seed, "steps": settings.steps, "version": version("micromill")}
+    figures = finish(learned, network, out, load_data(folder, "validation"), load_data(folder, "test"), about)
+    checkpoint.unlink(missing_ok=True)
+    console.print(_table(f"{out}, on held-out specimens and rigs", figures))
+
+
+@click.command()
+@task_argument
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    metavar="DIR",
+    help="Measure on the test pictures in this folder instead of fresh ones.",
+)
+@click.option("--weights", type=click.Path(path_type=Path), metavar="FILE", help="ONNX file in place of mill's own.")
+@click.option(
+    "--specimens",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    metavar="DIR",
+    help="Specimen files to render, in place of drawn ones.",
+)
+@seed_option
+@json_option
+def evaluate(
+    task: str, data: Path | None, weights: Path | None, specimens: Path | None, seed: int, json_file: Path | None
+) -> None:
+    """Measure a network on specimens and rigs it never saw."""
+    import tempfile
+
+    from studies.datasets import ensure
+    from vision.runtime import WEIGHTS, Network
+    from vision.tasks import task_named
+    from vision.training import load_data
+
+    if data and specimens:
+        raise click.UsageError("--data and --specimens exclude each other; give one")
+    network = Network(weights or WEIGHTS / f"{task}.onnx")
+    learned = task_named(task)
+    console = Console(stderr=True)
+    started_s = time.monotonic()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = data or Path(scratch)
+        if data is None:
+            with _progress(console) as progress:
+                bar = progress.add_task("pictures", total=None)
+                ensure(
+                    task,
+                    "test",
+                    folder,
+                    seed=seed,
+                    specimens=specimens,
+                    progress=lambda n, of: progress.update(bar, completed=n, total=of),
+                )
+        figures = learned.judge(network, load_data(folder, "test"))
+    console.print(_table(f"{network.path.name}, on held-out specimens and rigs", figures))
+    if json_file:
+        report = {
+            "schema": 1,
+            "command": f"evaluate {task}",
+            "version": version("micromill"),
+            "seed": seed,
+            "weights_sha256": network.sha256,
+            "duration_s": time.monotonic() - started_s,
+            **figures,
+        }
+        text = json.dumps(report, indent=2)
+        if str(json_file) == "-":
+            click.echo(text)
+        else:
+            json_file.write_text(text + "\n", encoding="utf-8")
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
+def _table(title: str, figures: dict[str, float]) -> Table:
+    table = Table("figure", "value", title=title)
+    for name, value in figures.items():
+        table.add_row(name, f"{value:.4g}")
+    return table

@@ -1,0 +1,17 @@
+"""The networks that mill trains, by name."""
+
+from vision.completion_training import CompletionTask
+from vision.keypoint_training import KeypointTask
+from vision.training import Task
+
+LANDMARKS = ("bregma", "lambda")
+
+
+def task_named(name: str) -> Task:
+    """``tip``, ``landmarks`` or ``completion``."""
+    tasks: dict[str, Task] = {
+        "tip": KeypointTask("tip", ("tip",)),
+        "landmarks": KeypointTask("landmarks", LANDMARKS),
+        "completion": CompletionTask(),
+    }
+    return tasks[name]
