@@ -1,0 +1,127 @@
+"""A ball that cuts, or presses on, a height field."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+SCRATCH_CELLS = 40_000
+
+
+def new_scratch() -> tuple[Any, Any, Any]:
+    """Work space of ``mill_step``: cell rows and columns, overlaps, shares of the normal that point up."""
+    return (
+        np.empty((SCRATCH_CELLS, 2), np.int32),
+        np.empty(SCRATCH_CELLS, np.float64),
+        np.empty(SCRATCH_CELLS, np.float64),
+    )
+
+
+@njit(cache=True, nogil=True)
+def mill_step(
+    top: Any,
+    membrane: Any,
+    x0: float,
+    y0: float,
+    step: float,
+    ball: tuple[float, float, float],
+    radius: float,
+    stiffness: float,
+    capacity: float,
+    cells: Any,
+    overlap: Any,
+    upward: Any,
+) -> tuple[float, float, float, int, int, int, int, int, int]:
+    """One instant of a ball centred at ``ball``; lowers ``top`` by what it removes.
+
+    The skull gives way by a deflection d. Bone is removed in proportion to the force that presses on it:
+    ``volume * upward share = capacity * stiffness * d``, with ``capacity`` in mm^3 per N (0: the ball only pushes).
+
+    Returns:
+        deflection, removed volume in mm^3, depth below the membrane (negative: above it), its row and column, and the
+        box of changed cells (first row, past the last, first column, past the last).
+    """
+    bx, by, bz = ball
+    i0 = max(0, int(math.ceil((bx - radius - x0) / step)))
+    i1 = min(top.shape[0], int(math.floor((bx + radius - x0) / step)) + 1)
+    j0 = max(0, int(math.ceil((by - radius - y0) / step)))
+    j1 = min(top.shape[1], int(math.floor((by + radius - y0) / step)) + 1)
+    count = 0
+    pressed = 0.0
+    below = -1e9
+    below_i = -1
+    below_j = -1
+    for i in range(i0, i1):
+        dx = x0 + i * step - bx
+        for j in range(j0, j1):
+            dy = y0 + j * step - by
+            room = radius * radius - dx * dx - dy * dy
+            if room <= 0.0:
+                continue
+            height = math.sqrt(room)
+            z = bz - height
+            deep = membrane[i, j] - z
+            if deep > below:
+                below = deep
+                below_i = i
+                below_j = j
+            over = top[i, j] - z
+            if over > 0.0 and count < cells.shape[0]:
+                cells[count, 0] = i
+                cells[count, 1] = j
+                overlap[count] = over
+                upward[count] = height / radius
+                pressed = max(pressed, over * height / radius)
+                count += 1
+    if count == 0:
+        return 0.0, 0.0, below, below_i, below_j, 0, 0, 0, 0
+    if capacity <= 0.0:
+        return pressed, 0.0, below - pressed, below_i, below_j, 0, 0, 0, 0
+    area = step * step
+    low = 0.0
+    high = pressed
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        cut = 0.0
+        for n in range(count):
+            if overlap[n] > middle:
+                cut += (overlap[n] - middle) * upward[n]
+        if cut * area > capacity * stiffness * middle:
+            low = middle
+        else:
+            high = middle
+    deflection = high
+    volume = 0.0
+    ci0, ci1, cj0, cj1 = top.shape[0], 0, top.shape[1], 0
+    for n in range(count):
+        gone = overlap[n] - deflection
+        if gone > 0.0:
+            i, j = cells[n, 0], cells[n, 1]
+            top[i, j] -= gone
+            volume += gone * area
+            ci0, ci1 = min(ci0, i), max(ci1, i + 1)
+            cj0, cj1 = min(cj0, j), max(cj1, j + 1)
+    if volume == 0.0:
+        ci0, cj0 = 0, 0
+    return deflection, volume, below - deflection, below_i, below_j, ci0, ci1, cj0, cj1
+
+
+@njit(cache=True, nogil=True)
+def carve_balls(top: Any, x0: float, y0: float, step: float, balls: Any, radius: float) -> None:
+    """Remove at once what balls centred at ``balls`` (n, 3) overlap."""
+    for n in range(balls.shape[0]):
+        bx, by, bz = balls[n, 0], balls[n, 1], balls[n, 2]
+        i0 = max(0, int(math.ceil((bx - radius - x0) / step)))
+        i1 = min(top.shape[0], int(math.floor((bx + radius - x0) / step)) + 1)
+        j0 = max(0, int(math.ceil((by - radius - y0) / step)))
+        j1 = min(top.shape[1], int(math.floor((by + radius - y0) / step)) + 1)
+        for i in range(i0, i1):
+            dx = x0 + i * step - bx
+            for j in range(j0, j1):
+                dy = y0 + j * step - by
+                room = radius * radius - dx * dx - dy * dy
+                if room > 0.0:
+                    z = bz - math.sqrt(room)
+                    if z < top[i, j]:
+                        top[i, j] = z
