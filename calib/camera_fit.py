@@ -1,0 +1,341 @@
+"""Fits a camera pair to setpoints: as many terms as the setpoints support, judged on setpoints held out of the fit.
+
+The setpoints are known to a few micrometres and the detections to a fraction of a pixel, so each eye is fitted on its
+own: a bundle adjustment would only add unknowns. The candidates, simplest first:
+
+    linear        the paper's linear model and a rigid transform       6 parameters, and constants known beforehand
+    affine        an affine camera for each eye                        8 for each eye
+    perspective   and perspective along the eye's own axis             9 for each eye
+    radial        and one radial term                                 10 for each eye
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from calib.camera_pair import N_PARAMETERS, CameraPair, Optics, eye_jacobians, optical_axis, project_eye
+from calib.landmark import MIN_SPREAD_MM, LandmarkFit, fit_rigid, spread_mm
+from calib.stereo import PAPER_MODEL, StereoModel
+from calib.transform import Array
+from drivers.errors import CalibrationError
+
+EYE_MODELS = {"affine": 8, "perspective": 9, "radial": 10}
+"""Parameters that each model frees in each eye."""
+MIN_SETPOINTS = 5
+_SIMPLER_WITHIN = 1.05
+"""A simpler model is kept while its held-out error is within this factor of the best."""
+_OUTLIER_SIGMAS = 6.0
+_OUTLIER_FLOOR_PX = 1.0
+_READMISSIONS = 3
+_MAX_OUTLIER_SHARE = 0.25
+_PRIOR_DOF = 4.0
+"""Weight, in degrees of freedom, of the detector's own sigma against that of the residuals."""
+_STEPS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class PairFit:
+    """A fitted camera pair and what it tells about itself."""
+
+    pair: CameraPair
+    model: str
+    candidates_mm: dict[str, float]
+    """Held-out RMSE of every model that the setpoints support."""
+    used: Array
+    """(n,) bool: False for outliers."""
+    residuals_px: Array
+    """(n, 4): seen minus predicted (x_l, y_l, x_r, y_r)."""
+    residuals_mm: Array
+    """(n, 3): triangulated minus commanded."""
+    leave_one_out_mm: Array
+    """(n,): error at each setpoint of the fit to all others; for outliers, of the final fit."""
+    handedness: str
+
+    @property
+    def rmse_mm(self) -> float:
+        """Held-out RMSE over the setpoints in use."""
+        return _rms(self.leave_one_out_mm[self.used])
+
+
+def fit_camera_pair(
+    points_mm: Array, left_px: Array, right_px: Array, *, size_px: tuple[int, int], detector_sigma_px: float
+) -> PairFit:
+    """Fit and choose by held-out error.
+
+    Args:
+        points_mm: (n, 3) true places in {R}.
+        left_px: (n, 2) where the left eye saw them.
+        right_px: (n, 2) where the right eye saw them.
+        size_px: width and height of the pictures.
+        detector_sigma_px: what the detector claims for one coordinate.
+
+    Raises:
+        CalibrationError: too few or coplanar setpoints, swapped or mirrored pictures, or too many outliers.
+    """
+    _require_spread(points_mm)
+    optics = optics_of(points_mm, size_px)
+    used = _inliers(optics, points_mm, left_px, right_px, detector_sigma_px)
+    points, left, right = points_mm[used], left_px[used], right_px[used]
+    _require_spread(points)
+
+    held_out: dict[str, Array] = {}
+    if (linear := _linear_candidate(points, left, right)) is not None:
+        held_out["linear"] = linear.leave_one_out_mm
+    for model, n_free in EYE_MODELS.items():
+        if 2 * (len(points) - 1) >= n_free + 1:
+            held_out[model] = _leave_one_out(model, optics, points, left, right)
+    candidates = {name: _rms(errors) for name, errors in held_out.items() if np.isfinite(errors).all()}
+    best = min(candidates.values())
+    model = next(name for name, rmse in candidates.items() if rmse <= _SIMPLER_WITHIN * best)
+
+    if model == "linear" and linear is not None:
+        pair = embed(PAPER_MODEL, linear, optics, left, right, points, detector_sigma_px)
+    else:
+        pair = _fit_pair(model, optics, points, left, right, detector_sigma_px)
+    leave_one_out = np.linalg.norm(pair.points_from_pixels(left_px, right_px)[0] - points_mm, axis=1)
+    leave_one_out[used] = held_out[model]
+    return _report(pair, model, candidates, used, leave_one_out, points_mm, left_px, right_px, check_handedness(pair))
+
+
+def fit_paper(
+    points_mm: Array, left_px: Array, right_px: Array, *, size_px: tuple[int, int], detector_sigma_px: float
+) -> PairFit:
+    """The paper's recipe with its errata 1 and 3 applied: known constants, one rigid fit.
+
+    Its setpoints lie in one plane, so that height is taken on trust: residuals say nothing of the error off that plane.
+
+    Raises:
+        CalibrationError: fewer than three or collinear setpoints, or a mirrored picture.
+    """
+    optics = optics_of(points_mm, size_px)
+    fit = fit_rigid(PAPER_MODEL.points_from_pixels(left_px, right_px), points_mm, source="Mi", target="R")
+    pair = embed(PAPER_MODEL, fit, optics, left_px, right_px, points_mm, detector_sigma_px)
+    check_handedness(pair)
+    used = np.ones(len(points_mm), dtype=bool)
+    candidates = {"linear": _rms(fit.leave_one_out_mm)}
+    return _report(pair, "linear", candidates, used, fit.leave_one_out_mm, points_mm, left_px, right_px, fit.handedness)
+
+
+def check_handedness(pair: CameraPair) -> str:
+    """``right-handed``, where both eyes look down on {R} and height moves a point right in the left picture.
+
+    Raises:
+        CalibrationError: naming the mirrored picture, or that left and right are swapped.
+    """
+    mirrored = [name for name, eye in (("left", pair.left), ("right", pair.right)) if optical_axis(eye)[2] > 0.0]
+    if len(mirrored) == 2:
+        raise CalibrationError(
+            "handedness: both pictures are mirrored against the robot; undo the mirror in the camera's settings, "
+            "or check the signs of the robot's axes"
+        )
+    if mirrored:
+        raise CalibrationError(
+            f"handedness: the {mirrored[0]} picture is mirrored and the other is not; undo the mirror of that camera"
+        )
+    if pair.left[4] - pair.right[4] < 0.0:
+        raise CalibrationError(
+            "handedness: height moves points the wrong way between the pictures; the cameras are swapped "
+            "(or both pictures are turned by 180 degrees): exchange left and right in the rig file"
+        )
+    return "right-handed"
+
+
+def optics_of(points_mm: Array, size_px: tuple[int, int]) -> Optics:
+    """The reference point in the middle of the setpoints, on a grid of 0.1 mm so that a file shows it exactly."""
+    x, y, z = (float(v) for v in np.round(points_mm.mean(axis=0), 1))
+    width, height = size_px
+    return Optics((x, y, z), (width / 2, height / 2), float(np.hypot(width, height) / 2))
+
+
+def embed(
+    model: StereoModel,
+    fit: LandmarkFit,
+    optics: Optics,
+    left_px: Array,
+    right_px: Array,
+    points_mm: Array,
+    detector_sigma_px: float,
+) -> CameraPair:
+    """The linear model behind a rigid transform, as the affine camera pair that it is."""
+
+    def parameters(turn: Array, shift: Array) -> Array:
+        # The fit's error turns the points about their centre and shifts that centre.
+        rotation = Rotation.from_rotvec(turn).as_matrix() @ fit.transform.rotation
+        center = fit.transform.inverse().apply(fit.center_mm)
+        basis = np.array(optics.origin_mm) + np.vstack([np.zeros(3), np.eye(3)])
+        eyes = model.project(center + (basis - fit.center_mm - shift) @ rotation)
+        result = np.zeros(2 * N_PARAMETERS)
+        for start, eye in zip((0, N_PARAMETERS), eyes, strict=True):
+            result[start : start + 2] = eye[0] - np.array(optics.center_px)
+            result[start + 2 : start + 8] = (eye[1:] - eye[0]).T.ravel()
+        return result
+
+    values = parameters(np.zeros(3), np.zeros(3))
+    step = 1e-6
+    jacobian = np.stack([(parameters(e[:3] * step, e[3:] * step) - values) / step for e in np.eye(6)], axis=1)
+    pair = CameraPair(optics, values[:N_PARAMETERS], values[N_PARAMETERS:], np.zeros((24, 24)), 0.0)
+    residuals = np.hstack([left_px, right_px]) - np.hstack(pair.project(points_mm))
+    sigma = _sigma_px(residuals, 6, detector_sigma_px)
+    spread = fit.covariance_for(model.covariance_mm2(sigma))
+    return CameraPair(optics, pair.left, pair.right, jacobian @ spread @ jacobian.T, sigma)
+
+
+def _fit_pair(
+    model: str, optics: Optics, points: Array, left: Array, right: Array, detector_sigma_px: float
+) -> CameraPair:
+    eyes = [_fit_eye(model, optics, points, pixels) for pixels in (left, right)]
+    residuals = np.hstack(
+        [pixels - project_eye(eye, optics, points) for (eye, _), pixels in zip(eyes, (left, right), strict=True)]
+    )
+    sigma = _sigma_px(residuals, 2 * EYE_MODELS[model], detector_sigma_px)
+    covariance = np.zeros((2 * N_PARAMETERS, 2 * N_PARAMETERS))
+    for start, (eye, basis) in zip((0, N_PARAMETERS), eyes, strict=True):
+        jacobian = (eye_jacobians(eye, optics, points)[2] @ basis).reshape(-1, basis.shape[1])
+        inverse = np.linalg.inv(jacobian.T @ jacobian)
+        covariance[start : start + N_PARAMETERS, start : start + N_PARAMETERS] = sigma**2 * basis @ inverse @ basis.T
+    return CameraPair(optics, eyes[0][0], eyes[1][0], covariance, sigma)
+
+
+def _fit_eye(model: str, optics: Optics, points: Array, pixels: Array) -> tuple[Array, Array]:
+    """Parameters (12,) and the basis (12, free) in which they moved."""
+    eye = _affine_eye(optics, points, pixels)
+    basis = free_basis(model, eye)
+    if model != "affine":
+        for _ in range(_STEPS):
+            predicted, _, by_parameters = eye_jacobians(eye, optics, points)
+            jacobian = (by_parameters @ basis).reshape(-1, basis.shape[1])
+            eye = eye + basis @ np.linalg.lstsq(jacobian, (pixels - predicted).ravel(), rcond=None)[0]
+    return eye, basis
+
+
+def _affine_eye(optics: Optics, points: Array, pixels: Array) -> Array:
+    design = np.hstack([np.ones((len(points), 1)), points - np.array(optics.origin_mm)])
+    solution = np.linalg.lstsq(design, pixels - np.array(optics.center_px), rcond=None)[0]
+    return np.concatenate([solution[0], solution[1:].T.ravel(), np.zeros(4)])
+
+
+def free_basis(model: str, eye: Array) -> Array:
+    """(12, free): the directions in which ``model`` may move the parameters of ``eye``."""
+    basis = np.zeros((N_PARAMETERS, EYE_MODELS[model]))
+    basis[:8, :8] = np.eye(8)
+    if model != "affine":
+        basis[8:11, 8] = optical_axis(eye)
+    if model == "radial":
+        basis[11, 9] = 1.0
+    return basis
+
+
+def _leave_one_out(model: str, optics: Optics, points: Array, left: Array, right: Array) -> Array:
+    errors = np.full(len(points), np.inf)
+    for i in range(len(points)):
+        kept = np.arange(len(points)) != i
+        if spread_mm(points[kept])[2] < MIN_SPREAD_MM:
+            continue
+        eyes = [_fit_eye(model, optics, points[kept], pixels[kept])[0] for pixels in (left, right)]
+        pair = CameraPair(optics, eyes[0], eyes[1], np.zeros((24, 24)), 0.0)
+        errors[i] = np.linalg.norm(pair.points_from_pixels(left[i : i + 1], right[i : i + 1])[0][0] - points[i])
+    return errors
+
+
+def _linear_candidate(points: Array, left: Array, right: Array) -> LandmarkFit | None:
+    """The paper's model, where its constants are near enough to fit at all."""
+    try:
+        return fit_rigid(PAPER_MODEL.points_from_pixels(left, right), points, source="Mi", target="R")
+    except CalibrationError:
+        return None
+
+
+def _inliers(optics: Optics, points: Array, left: Array, right: Array, detector_sigma_px: float) -> Array:
+    """(n,) bool: the three quarters that agree best, and all setpoints that a fit to these predicts.
+
+    The richest model that the number of setpoints supports judges, or else missing terms would look like outliers.
+    """
+    n = len(points)
+    n_sure = n - int(_MAX_OUTLIER_SHARE * n)
+    models = [name for name, free in EYE_MODELS.items() if 2 * n_sure >= free + 4]
+    if not models:
+        return np.ones(n, dtype=bool)
+    misfit = np.hstack([_robust_residuals(models[-1], optics, points, pixels) for pixels in (left, right)])
+    used = np.zeros(n, dtype=bool)
+    used[np.argsort((misfit**2).sum(axis=1))[:n_sure]] = True
+    for _ in range(_READMISSIONS):
+        pair = _fit_pair(models[-1], optics, points[used], left[used], right[used], detector_sigma_px)
+        misfit = np.hstack([left, right]) - np.hstack(pair.project(points))
+        whitened = np.linalg.solve(pair.pixel_covariance_at(points), misfit[:, :, None])[:, :, 0]
+        near = np.linalg.norm(misfit, axis=1) <= _OUTLIER_FLOOR_PX
+        used = near | ((misfit * whitened).sum(axis=1) <= _OUTLIER_SIGMAS**2)
+        if (~used).sum() > n - n_sure:
+            names = ", ".join(str(tuple(float(v) for v in p)) for p in points[~used])
+            raise CalibrationError(
+                f"calibration: {(~used).sum()} of {n} setpoints disagree with the others ({names} mm), at most "
+                f"{n - n_sure} allowed; look at their pictures, clean the optics, check that nothing slips"
+            )
+    return used
+
+
+def _robust_residuals(model: str, optics: Optics, points: Array, pixels: Array) -> Array:
+    start = _affine_eye(optics, points, pixels)
+    basis = free_basis(model, start)
+
+    def residuals(step: Array) -> Array:
+        return (project_eye(start + basis @ step, optics, points) - pixels).ravel()
+
+    def jacobian(step: Array) -> Array:
+        by_parameters = eye_jacobians(start + basis @ step, optics, points)[2]
+        return (by_parameters @ basis).reshape(-1, basis.shape[1])
+
+    fit = least_squares(
+        # A scale far below the noise: nearly the sum of absolute residuals, which needs no guess of the noise.
+        residuals,
+        np.zeros(basis.shape[1]),
+        jacobian,
+        loss="soft_l1",
+        f_scale=0.05,
+        x_scale="jac",
+    )
+    return residuals(fit.x).reshape(-1, 2)
+
+
+def _require_spread(points: Array) -> None:
+    if len(points) < MIN_SETPOINTS:
+        raise CalibrationError(
+            f"calibration: {len(points)} usable setpoints, at least {MIN_SETPOINTS} needed; use the default sequence"
+        )
+    spread = spread_mm(points)
+    if spread[1] < MIN_SPREAD_MM:
+        raise CalibrationError(
+            "calibration: the setpoints lie on one line; spread them over the box, in all three axes"
+        )
+    if spread[2] < MIN_SPREAD_MM:
+        raise CalibrationError(
+            f"calibration: the setpoints lie within {spread[2]:.3f} mm (RMS) of one plane, at least {MIN_SPREAD_MM} mm "
+            "needed: scale, shear and handedness off that plane would be unobserved; add setpoints at another height"
+        )
+
+
+def _sigma_px(residuals: Array, n_parameters: int, detector_sigma_px: float) -> float:
+    """The residuals' sigma, steadied by the detector's claim where few degrees of freedom are left."""
+    dof = max(0, residuals.size - n_parameters)
+    return float(np.sqrt(((residuals**2).sum() + _PRIOR_DOF * detector_sigma_px**2) / (dof + _PRIOR_DOF)))
+
+
+def _report(
+    pair: CameraPair,
+    model: str,
+    candidates: dict[str, float],
+    used: Array,
+    leave_one_out: Array,
+    points: Array,
+    left: Array,
+    right: Array,
+    handedness: str,
+) -> PairFit:
+    residuals_px = np.hstack([left, right]) - np.hstack(pair.project(points))
+    residuals_mm = pair.points_from_pixels(left, right)[0] - points
+    return PairFit(pair, model, candidates, used, residuals_px, residuals_mm, leave_one_out, handedness)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt((values**2).mean()))

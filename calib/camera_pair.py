@@ -1,0 +1,185 @@
+"""Two eyes seen from the robot: millimetres of {R} to pixels, and back with a covariance.
+
+Each eye is an affine camera with two corrections, perspective and radial distortion, about a fixed reference point:
+
+    q = (a + A d) / (1 + w . d)      pixel = c + q (1 + k |q|^2 / rho^2)      d = point - origin
+
+Its twelve parameters are a (2), A (2 by 3), w (3), k (1). All models of `calib` end in this one form and differ in how
+many of the twelve the setpoints may move. What is left out: decentring, skewed lenses, and any change over time.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from calib.transform import Array
+from drivers.errors import CalibrationError
+
+N_PARAMETERS = 12
+_A = slice(0, 2)
+_AFFINE = slice(2, 8)
+_W = slice(8, 11)
+_K = 11
+_CHUNK = 20_000
+_STEPS = 4
+
+
+@dataclass(frozen=True)
+class Optics:
+    """What no setpoint changes: the reference point in {R}, the picture's centre, its half diagonal."""
+
+    origin_mm: tuple[float, float, float]
+    center_px: tuple[float, float]
+    half_diagonal_px: float
+
+
+def project_eye(parameters: Array, optics: Optics, points_mm: Array) -> Array:
+    """Pixels (n, 2) of points (n, 3) in {R}."""
+    d = points_mm - np.array(optics.origin_mm)
+    q = (parameters[_A] + d @ parameters[_AFFINE].reshape(2, 3).T) / (1 + d @ parameters[_W])[:, None]
+    growth = 1 + parameters[_K] * (q**2).sum(axis=1) / optics.half_diagonal_px**2
+    return np.asarray(np.array(optics.center_px) + q * growth[:, None])
+
+
+def eye_jacobians(parameters: Array, optics: Optics, points_mm: Array) -> tuple[Array, Array, Array]:
+    """Pixels (n, 2), their derivatives by the point (n, 2, 3) and by the twelve parameters (n, 2, 12)."""
+    d = points_mm - np.array(optics.origin_mm)
+    affine, w, k = parameters[_AFFINE].reshape(2, 3), parameters[_W], parameters[_K] / optics.half_diagonal_px**2
+    depth = (1 + d @ w)[:, None, None]
+    q = (parameters[_A] + d @ affine.T) / depth[:, :, 0]
+    square = (q**2).sum(axis=1)
+    pixels = np.array(optics.center_px) + q * (1 + k * square)[:, None]
+    bend = (1 + k * square)[:, None, None] * np.eye(2) + 2 * k * q[:, :, None] * q[:, None, :]
+
+    by_q = np.zeros((len(d), 2, N_PARAMETERS))
+    by_q[:, 0, 0] = by_q[:, 1, 1] = 1.0
+    by_q[:, 0, 2:5] = by_q[:, 1, 5:8] = d
+    by_q[:, :, _W] = -q[:, :, None] * d[:, None, :]
+    by_parameters = bend @ (by_q / depth)
+    by_parameters[:, :, _K] = q * square[:, None] / optics.half_diagonal_px**2
+    by_point = bend @ ((affine - q[:, :, None] * w) / depth)
+    return pixels, by_point, by_parameters
+
+
+def optical_axis(parameters: Array) -> Array:
+    """Unit vector (3,) in {R} along which this eye looks, as a picture with x right and y down implies."""
+    rows = parameters[_AFFINE].reshape(2, 3)
+    axis = np.cross(rows[0], rows[1])
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPair:
+    """Both eyes, the covariance of their parameters, and the error of one detected pixel coordinate."""
+
+    optics: Optics
+    left: Array
+    """(12,) parameters of the left eye."""
+    right: Array
+    """(12,) parameters of the right eye."""
+    covariance: Array
+    """(24, 24) of left and right parameters; zero where a model keeps a parameter fixed."""
+    sigma_px: float
+    """1-sigma of one pixel coordinate, as the fit's residuals show it."""
+
+    def project(self, points_mm: npt.ArrayLike) -> tuple[Array, Array]:
+        """Pixels (n, 2) in the left and in the right picture of points (n, 3) in {R}."""
+        points = _rows(points_mm, 3, "points_mm")
+        return project_eye(self.left, self.optics, points), project_eye(self.right, self.optics, points)
+
+    def points_from_pixels(
+        self, left_px: npt.ArrayLike, right_px: npt.ArrayLike, sigma_px: npt.ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Points (n, 3) in {R} and their covariances (n, 3, 3), mm and mm^2, from matched pixels (n, 2).
+
+        Args:
+            left_px: pixels in the left picture.
+            right_px: the same points in the right picture.
+            sigma_px: 1-sigma of one coordinate, one number or (n,); the calibration's own where left out.
+
+        Raises:
+            CalibrationError: a pixel is not finite.
+        """
+        left, right = _rows(left_px, 2, "left_px"), _rows(right_px, 2, "right_px")
+        if left.shape != right.shape:
+            raise ValueError(f"{len(left)} left and {len(right)} right pixels; as many of each wanted")
+        if not (np.isfinite(left).all() and np.isfinite(right).all()):
+            raise CalibrationError("points_from_pixels: a pixel is not finite; drop what was not detected")
+        sigma = np.broadcast_to(
+            np.asarray(self.sigma_px if sigma_px is None else sigma_px, dtype=np.float64), len(left)
+        )
+        points, covariance = np.empty((len(left), 3)), np.empty((len(left), 3, 3))
+        for start in range(0, len(left), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            points[part] = self._triangulate(left[part], right[part])
+            covariance[part] = self.covariance_at(points[part], sigma[part])
+        return points, covariance
+
+    def covariance_at(self, points_mm: npt.ArrayLike, sigma_px: npt.ArrayLike | None = None) -> Array:
+        """(n, 3, 3) mm^2: what one detection at each point (n, 3) would err by, parameters and pixels together."""
+        points = _rows(points_mm, 3, "points_mm")
+        sigma = np.broadcast_to(
+            np.asarray(self.sigma_px if sigma_px is None else sigma_px, dtype=np.float64), len(points)
+        )
+        by_point, by_parameters = self._jacobians(points)[1:]
+        pixels = by_parameters @ self.covariance @ by_parameters.transpose(0, 2, 1)
+        pixels += sigma[:, None, None] ** 2 * np.eye(4)
+        gain = np.linalg.solve(by_point.transpose(0, 2, 1) @ by_point, by_point.transpose(0, 2, 1))
+        return np.asarray(gain @ pixels @ gain.transpose(0, 2, 1))
+
+    def sigma_at(self, points_mm: npt.ArrayLike, sigma_px: npt.ArrayLike | None = None) -> Array:
+        """(n, 3): predicted 1-sigma along x, y and z of {R} at points (n, 3), mm."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance_at(points_mm, sigma_px), axis1=1, axis2=2)))
+
+    def pixel_covariance_at(self, points_mm: npt.ArrayLike, point_sigma_mm: float = 0.0) -> Array:
+        """(n, 4, 4) px^2 of (x_l, y_l, x_r, y_r) about the prediction for points known to ``point_sigma_mm``."""
+        by_point, by_parameters = self._jacobians(_rows(points_mm, 3, "points_mm"))[1:]
+        pixels = by_parameters @ self.covariance @ by_parameters.transpose(0, 2, 1) + self.sigma_px**2 * np.eye(4)
+        return np.asarray(pixels + point_sigma_mm**2 * by_point @ by_point.transpose(0, 2, 1))
+
+    def disagreement_px(self, left_px: npt.ArrayLike, right_px: npt.ArrayLike) -> Array:
+        """(n,): how far the eyes disagree off the epipolar line, px; large where they show different things."""
+        left, right = _rows(left_px, 2, "left_px"), _rows(right_px, 2, "right_px")
+        seen = np.hstack(self.project(self._triangulate(left, right)))
+        return np.asarray(np.linalg.norm(np.hstack([left, right]) - seen, axis=1))
+
+    def right_from_left(self, z_mm: float) -> Array:
+        """(2, 3) affine that carries left pixels to right pixels for points at height ``z_mm`` in {R}.
+
+        Perspective and distortion bend the true map by a fraction of a pixel; this is its least-squares affine over a
+        square of 16 mm about the reference point.
+        """
+        grid = np.linspace(-8.0, 8.0, 9)
+        x, y = np.meshgrid(grid + self.optics.origin_mm[0], grid + self.optics.origin_mm[1])
+        left, right = self.project(np.stack([x.ravel(), y.ravel(), np.full(x.size, z_mm)], axis=1))
+        design = np.hstack([left, np.ones((len(left), 1))])
+        return np.asarray(np.linalg.lstsq(design, right, rcond=None)[0].T, dtype=np.float64)
+
+    def _jacobians(self, points: Array) -> tuple[Array, Array, Array]:
+        """Pixels (n, 4), derivatives by the point (n, 4, 3) and by all parameters (n, 4, 24)."""
+        left, left_by_point, left_by = eye_jacobians(self.left, self.optics, points)
+        right, right_by_point, right_by = eye_jacobians(self.right, self.optics, points)
+        by_parameters = np.zeros((len(points), 4, 2 * N_PARAMETERS))
+        by_parameters[:, :2, :N_PARAMETERS], by_parameters[:, 2:, N_PARAMETERS:] = left_by, right_by
+        return np.hstack([left, right]), np.concatenate([left_by_point, right_by_point], axis=1), by_parameters
+
+    def _triangulate(self, left: Array, right: Array) -> Array:
+        """Least squares in the pixels of both eyes, Gauss-Newton from the reference point."""
+        seen = np.hstack([left, right])
+        points = np.tile(np.array(self.optics.origin_mm), (len(seen), 1))
+        for _ in range(_STEPS):
+            left_px, left_by, _ = eye_jacobians(self.left, self.optics, points)
+            right_px, right_by, _ = eye_jacobians(self.right, self.optics, points)
+            by_point = np.concatenate([left_by, right_by], axis=1)
+            error = (seen - np.hstack([left_px, right_px]))[:, :, None]
+            normal, gradient = by_point.transpose(0, 2, 1) @ by_point, by_point.transpose(0, 2, 1) @ error
+            points = points + np.linalg.solve(normal, gradient)[:, :, 0]
+        return points
+
+
+def _rows(values: npt.ArrayLike, width: int, name: str) -> Array:
+    rows = np.asarray(values, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != width:
+        raise ValueError(f"{name} has shape {rows.shape}; (n, {width}) wanted")
+    return rows
