@@ -116,9 +116,6 @@ class CanopenSlave:
     def on_connection_lost(self) -> None:
         """The host's heartbeat stopped, or the host stopped the node."""
 
-    def check_object(self, key: Key, value: int) -> None:
-        """Refuse a value that the entry's own rules allow, by raising ``SdoAbort``."""
-
     def on_written(self, key: Key) -> None:
         """The host has written an object."""
 
@@ -266,7 +263,6 @@ class CanopenSlave:
             self._check_consumer(value)
         if key[0] == 0x1014:
             self._check_emergency_id(value)
-        self.check_object(key, value)
         self.dictionary[key] = value
         if key == (0x1003, 0):
             self._history.clear()

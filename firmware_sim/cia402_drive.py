@@ -7,7 +7,7 @@ before the network is operational (this one takes it by SDO in pre-operational a
 
 from enum import Enum
 
-from firmware_sim.canopen_dictionary import I8, I16, I32, U16, U32, Abort, Entry, Key, SdoAbort
+from firmware_sim.canopen_dictionary import I8, I16, I32, U16, U32, Entry, Key
 from firmware_sim.canopen_slave import CYCLE_S, CanopenSlave
 from firmware_sim.mechanics import SpindleLoad
 from firmware_sim.velocity_servo import VelocityServo
@@ -104,11 +104,6 @@ class Cia402Drive(CanopenSlave):
             case 3:
                 self._command(0x0002)
 
-    def check_object(self, key: Key, value: int) -> None:
-        """The motor keeps its mode while it turns."""
-        if key == (0x6060, 0) and value != self.dictionary[key] and self._state is State.OPERATION_ENABLED:
-            raise SdoAbort(Abort.DEVICE_STATE)
-
     def on_written(self, key: Key) -> None:
         """Controlwords count at once."""
         if key == (0x6040, 0):
@@ -200,20 +195,19 @@ class Cia402Drive(CanopenSlave):
             self._go(State.SWITCH_ON_DISABLED)
 
     def _finish_stops(self) -> None:
-        if not self._stands:
+        if abs(self._servo.speed_rpm) > self.dictionary[0x606F, 0]:
             return
         if self._state is State.FAULT_REACTION_ACTIVE:
+            # A blocked shaft is not pushed on until the ramp is over.
             self._go(State.FAULT)
+        elif self._servo.demand_rpm:
+            return
         elif self._state is State.QUICK_STOP_ACTIVE and self.dictionary[0x605A, 0] < 5:
             self._go(State.SWITCH_ON_DISABLED)
         elif self._leave_for is not None:
             self._go(self._leave_for)
 
     # --- speed
-
-    @property
-    def _stands(self) -> bool:
-        return self._servo.demand_rpm == 0 and abs(self._servo.speed_rpm) <= self.dictionary[0x606F, 0]
 
     @property
     def _limit_rpm(self) -> int:

@@ -7,7 +7,6 @@ nothing, and its transmit queue fills up. Left out: polled reception (``P``, ``A
 let only part of the traffic through, and the latency of USB.
 """
 
-from collections import deque
 from collections.abc import Sequence
 
 from firmware_sim.can_wire import CanNode, CanWire, as_wire
@@ -37,7 +36,7 @@ class SlcanAdapter:
         self._open = False
         self._listen_only = False
         self._time_stamps = False
-        self._stuck: deque[tuple[int, bytes]] = deque()
+        self._stuck = 0
         self._flags = 0
 
     @property
@@ -134,7 +133,7 @@ class SlcanAdapter:
         if argument or not self._open:
             return ERROR
         self._open = False
-        self._stuck.clear()
+        self._stuck = 0
         return OK
 
     def _set_time_stamps(self, argument: bytes) -> bytes:
@@ -164,10 +163,10 @@ class SlcanAdapter:
         acknowledgement = (b"z" if digits == 3 else b"Z") + OK
         if self._bit_rate != self._wire.bit_rate:
             self._flags |= _BUS_ERROR | _WARNING | _PASSIVE
-            if len(self._stuck) >= TRANSMIT_QUEUE:
+            if self._stuck >= TRANSMIT_QUEUE:
                 self._flags |= _TRANSMIT_FULL
                 return ERROR
-            self._stuck.append((can_id, payload))
+            self._stuck += 1
         elif command == b"t":
             self._port.send(can_id, bytes.fromhex(payload.decode()))
         return acknowledgement
