@@ -1,0 +1,252 @@
+"""`mill calibrate`."""
+
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import click
+
+from cli.options import emulate_option, json_option, rig_option, seed_option, specimen_option
+from cli.output import write_json
+from cli.rig import Rig, rig_for
+
+if TYPE_CHECKING:
+    from calib.calibration_file import Calibration, Provenance
+    from drivers.camera.interface import StereoCamera
+    from drivers.motion.interface import MotionController
+    from vision.keypoints import TipFinder
+
+
+def calibration_path(rig_name: str) -> Path:
+    """Where the calibration of a rig lies unless told otherwise."""
+    return Path("calibrations") / f"{rig_name}.toml"
+
+
+@click.command()
+@rig_option
+@emulate_option
+@specimen_option
+@seed_option
+@json_option
+@click.option("--recipe", type=click.Choice(["default", "paper"]), default="default", show_default=True)
+@click.option("--verify", "only_verify", is_flag=True, help="Check an existing calibration at one setpoint instead.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Calibration file. [default: calibrations/RIG.toml]",
+)
+def calibrate(
+    rig: Path | None,
+    emulate: bool,
+    specimen: Path | None,
+    seed: int,
+    json_file: Path | None,
+    recipe: str,
+    only_verify: bool,
+    out: Path | None,
+) -> None:
+    """Calibrate the stereo microscope against the robot.
+
+    Homes, drives the drill through setpoints in free air, finds its ball in both pictures, and writes a calibration
+    file that holds for this rig only. The spindle stays off.
+    """
+    from rich.console import Console
+
+    from calib.calibration_file import Calibration
+    from vision.keypoints import TipFinder
+
+    console = Console(stderr=json_file is not None and str(json_file) == "-")
+    find_tip = TipFinder.load()
+    with rig_for(rig, emulate=emulate, specimen=specimen, seed=seed) as bench:
+        path = out or calibration_path(bench.config.name)
+        if only_verify:
+            Calibration.load(path, None)  # an unusable file is refused before anything moves
+        started_s = bench.clock.now_s()
+        with bench.open_spindle() as spindle, bench.open_camera() as camera, bench.open_motion() as motion:
+            console.print("homing")
+            motion.home()
+            if only_verify:
+                _verify(path, bench, motion, camera, spindle.identity, find_tip, console, json_file)
+                return
+            calibration = calibrate_rig(bench, motion, camera, spindle.identity, find_tip, console, recipe=recipe)
+            calibration.save(path)
+            duration_s = bench.clock.now_s() - started_s
+            _show(console, calibration, path, duration_s)
+            if json_file is None:
+                return
+            figures = _figures(calibration, path, duration_s)
+            if emulate:
+                figures["truth"] = score(bench, motion, camera, find_tip, calibration, seed)
+            write_json(json_file, "calibrate", seed=seed if emulate else None, **figures)
+
+
+def calibrate_rig(
+    bench: Rig,
+    motion: "MotionController",
+    camera: "StereoCamera",
+    spindle_identity: str,
+    find_tip: "TipFinder",
+    console: Any,
+    *,
+    recipe: str = "default",
+    recorder: Any = None,
+) -> "Calibration":
+    """The automatic procedure with a progress bar; the machine is homed and the drill at rest."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from calib import procedure
+
+    columns = (
+        TextColumn("calibrating"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}"),
+    )
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task("", total=None)
+
+        def show(done: int, total: int, words: str) -> None:
+            progress.update(bar, completed=done, total=total, description=words)
+
+        return procedure.calibrate(
+            motion,
+            camera,
+            find_tip.find,
+            clock=bench.clock,
+            recipe=cast(Literal["default", "paper"], recipe),
+            tool_offset_mm=bench.config.tool.center_from_tip_mm,
+            spindle_identity=spindle_identity,
+            provenance=provenance(find_tip),
+            recorder=recorder,
+            progress=show,
+        )
+
+
+def provenance(find_tip: "TipFinder") -> "Provenance":
+    """Date, software and weights of a calibration made now."""
+    from calib.calibration_file import Provenance
+
+    return Provenance(
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
+        software=f"micromill {version('micromill')}",
+        weights={"tip": find_tip.sha256},
+    )
+
+
+def score(
+    bench: Rig,
+    motion: "MotionController",
+    camera: "StereoCamera",
+    find_tip: "TipFinder",
+    calibration: "Calibration",
+    seed: int,
+) -> dict[str, float]:
+    """Errors at 20 random setpoints of the paper's validation box, on a virtual bench; the calibration is finished.
+
+    The 13 setpoints nearest to the middle of the box are its centre and the other 7 its periphery, as in the paper.
+    """
+    import numpy as np
+
+    low, high = np.array([0.0, -20.0, 0.0]), np.array([10.0, 0.0, 10.0])
+    setpoints = np.random.default_rng([seed, 20]).uniform(low, high, (20, 3))
+    errors_mm, errors_px, off_center_mm = [], [], []
+    for x, y, z in setpoints.tolist():
+        motion.start_move((x, y, z), feed_mm_per_s=10.0)
+        motion.wait_until_idle(timeout_s=30.0)
+        bench.clock.sleep_s(0.3)
+        pair = camera.capture()
+        left, right = find_tip.find(pair.left), find_tip.find(pair.right)
+        truth = bench.truth() or {}
+        seen = np.array([[left.x_px, left.y_px], [right.x_px, right.y_px]])
+        errors_px += list(seen - np.array([truth["ball_px"]["left"], truth["ball_px"]["right"]]))
+        points_mm, _ = calibration.points_from_pixels(seen[:1], seen[1:])
+        errors_mm.append(points_mm[0] - calibration.rig.center_from_tip_mm - (x, y, z))
+        off_center_mm.append(np.hypot(x - 5.0, y + 10.0))
+    squared = (np.array(errors_mm) ** 2).sum(axis=1)
+    order = np.argsort(off_center_mm)
+
+    def rms(values: Any) -> float:
+        return float(np.sqrt(np.mean(values)))
+
+    return {
+        "rmse_mm": rms(squared),
+        "rmse_center_mm": rms(squared[order[:13]]),
+        "rmse_periphery_mm": rms(squared[order[13:]]),
+        "tip_rmse_px": rms((np.array(errors_px) ** 2).sum(axis=1)),
+    }
+
+
+def _verify(
+    path: Path,
+    bench: Rig,
+    motion: "MotionController",
+    camera: "StereoCamera",
+    spindle_identity: str,
+    find_tip: "TipFinder",
+    console: Any,
+    json_file: Path | None,
+) -> None:
+    from calib import procedure
+    from calib.calibration_file import Calibration
+
+    calibration = Calibration.load(path, rig_identity(bench, motion, camera, spindle_identity))
+    seen = procedure.verify(calibration, motion, camera, find_tip.find, clock=bench.clock)
+    console.print(
+        f"[bold green]verified[/] {path}: off by {seen.error_mm.round(3).tolist()} mm, {seen.error_px:.2f} px, "
+        f"{seen.distance_sigmas:.1f} sigmas"
+    )
+    if json_file:
+        write_json(
+            json_file,
+            "calibrate",
+            seed=None,
+            file=str(path),
+            error_mm=seen.error_mm.tolist(),
+            sigma_mm=seen.sigma_mm.tolist(),
+            error_px=seen.error_px,
+            distance_sigmas=seen.distance_sigmas,
+        )
+
+
+def rig_identity(bench: Rig, motion: "MotionController", camera: "StereoCamera", spindle_identity: str) -> Any:
+    """Who these devices say they are, and the tool of the rig file."""
+    from calib.calibration_file import RigIdentity
+
+    return RigIdentity(
+        motion=motion.identity,
+        camera=camera.identity,
+        spindle=spindle_identity,
+        center_from_tip_mm=bench.config.tool.center_from_tip_mm,
+    )
+
+
+def _figures(calibration: "Calibration", path: Path, duration_s: float) -> dict[str, Any]:
+    return {
+        "file": str(path),
+        "recipe": calibration.recipe,
+        "model": calibration.model,
+        "candidates_mm": calibration.candidates_mm,
+        "handedness": calibration.handedness,
+        "not_for_milling": calibration.not_for_milling,
+        "rmse_mm": calibration.rmse_mm,
+        "predicted_rmse_mm": calibration.predicted_rmse_mm,
+        "residuals_mm": [list(setpoint.residual_mm) for setpoint in calibration.setpoints],
+        "setpoints": [list(setpoint.point_mm) for setpoint in calibration.setpoints],
+        "duration_s": duration_s,
+    }
+
+
+def _show(console: Any, calibration: "Calibration", path: Path, duration_s: float) -> None:
+    console.print(
+        f"[bold green]calibrated[/] in {duration_s:.0f} s: {calibration.model} model, "
+        f"held-out error {calibration.rmse_mm:.3f} mm at {len(calibration.setpoints)} setpoints, "
+        f"predicted {calibration.predicted_rmse_mm:.3f} mm over the box, {calibration.handedness}"
+    )
+    for outlier in calibration.outliers:
+        console.print(f"  left out: {list(outlier.point_mm)} mm, off by {outlier.leave_one_out_mm:.3f} mm")
+    if calibration.not_for_milling:
+        console.print("  [yellow]not for milling[/]: its setpoints leave height and handedness untested")
+    console.print(f"  {path}")
