@@ -1,0 +1,159 @@
+"""An emulated controller board with GRBL 1.1 firmware, in two dialects: ``gnea`` (1.1h) and ``grblhal``.
+
+It speaks at 115200 baud both ways, has a receive buffer that drops what does not fit, a bounded planner with
+look-ahead, and motors that follow constant-speed segments prepared some 50 or 90 ms ahead. It knows no wall clock.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Literal
+
+from firmware_sim.grbl_dialects import DIALECTS
+from firmware_sim.grbl_overrides import OVERRIDE_BYTES
+from firmware_sim.grbl_program import Program
+from firmware_sim.grbl_settings import Settings
+from firmware_sim.grbl_states import Alarm, Flag, State
+from firmware_sim.grbl_stepper import TICK_S
+from firmware_sim.grbl_uart import Uart
+from firmware_sim.mechanics import Mechanics
+
+_FINE_TICK_S = 0.0005
+_FLAG_BYTES = {ord("?"): Flag.STATUS, ord("~"): Flag.CYCLE_START, ord("!"): Flag.HOLD, 0x84: Flag.DOOR}
+_RESET, _JOG_CANCEL, _FIRST_REALTIME = 0x18, 0x85, 0x80
+
+
+class GrblBoard:
+    """The board from power-up at time zero. ``settings`` are what its memory holds then, by ``$`` number."""
+
+    def __init__(
+        self,
+        mechanics: Mechanics,
+        *,
+        dialect: Literal["gnea", "grblhal"],
+        settings: Mapping[str, float] = {},  # noqa: B006  (read only)
+    ) -> None:
+        self._mechanics = mechanics
+        self._dialect = DIALECTS[dialect]
+        memory = Settings(dialect, settings)
+        self._motor_steps_per_mm = memory.per_axis(100)
+        self._uart = Uart(self._dialect.rx_size)
+        self._program = Program(self._dialect, memory, self._uart, mechanics.limit_switches, mechanics.probe_closed)
+        self._run = self._program.run()
+        self._now_s = 0.0
+        self._deaf_until_s = 0.0
+        self._something_happened = True
+        self._tick_s = 0.0
+        self._shown = (0.0, 0.0, 0.0)
+        self._limits_pressed = False
+
+    @property
+    def spindle_rpm(self) -> float:
+        """What the spindle output asks for; negative turns the other way."""
+        program = self._program
+        return -program.spindle_rpm if program.spindle == "M4" else program.spindle_rpm
+
+    def receive(self, data: bytes) -> None:
+        """The host writes ``data``, now."""
+        self._uart.send_to_board(data, self._now_s)
+
+    def transmit(self) -> bytes:
+        """What has reached the host since the last call."""
+        return self._uart.collect(self._now_s)
+
+    def advance_to(self, time_s: float) -> None:
+        """Let the board's time go on to ``time_s``."""
+        while True:
+            next_s = self._next_time_s()
+            if next_s > time_s:
+                break
+            self._now_s = max(self._now_s, next_s)
+            self._step()
+        self._now_s = max(self._now_s, time_s)
+        if self._program.stepper.running:
+            self._turn_motors()
+
+    def _next_time_s(self) -> float:
+        stepper = self._program.stepper
+        next_s = self._uart.next_arrival_s
+        if stepper.running:
+            next_s = min(next_s, stepper.next_time_s, self._tick_s)
+        return min(next_s, self._program_at_s())
+
+    def _program_at_s(self) -> float:
+        """When the program goes on: awake, not blocked by an interrupt, and with room for what it has said."""
+        if not self._something_happened:
+            return math.inf
+        program = self._program
+        at_s = max(self._deaf_until_s, program.blocked_until_s, self._uart.room_at_s(self._dialect.tx_size))
+        poll_s = self._dialect.poll_s
+        if poll_s and at_s <= self._now_s:
+            return math.ceil(self._now_s / poll_s - 1e-6) * poll_s
+        return at_s
+
+    def _step(self) -> None:
+        program, now_s = self._program, self._now_s
+        program.now_s = now_s
+        while (byte := self._uart.next_arrived(now_s)) is not None:
+            self._interrupt(byte)
+        if program.stepper.running:
+            self._turn_motors()
+        if self._program_at_s() <= now_s:
+            self._something_happened = False
+            was_running = program.stepper.running
+            wake_s = next(self._run)
+            if wake_s is not None:
+                self._deaf_until_s = wake_s
+                self._something_happened = True
+            elif program.blocked_until_s > now_s:
+                self._something_happened = True
+            if program.stepper.running and not was_running:
+                self._tick_s = now_s
+
+    def _interrupt(self, byte: int) -> None:
+        """Real-time characters never reach the receive buffer."""
+        program = self._program
+        self._something_happened = True
+        if byte in _FLAG_BYTES:
+            program.flags.add(_FLAG_BYTES[byte])
+        elif byte == _RESET:
+            program.interrupt_reset()
+        elif byte == _JOG_CANCEL:
+            if program.state is State.JOG:
+                program.flags.add(Flag.MOTION_CANCEL)
+        elif byte in OVERRIDE_BYTES:
+            program.overrides.ask(byte)
+        elif byte < _FIRST_REALTIME:
+            self._uart.store(byte)
+
+    def _turn_motors(self) -> None:
+        program, now_s = self._program, self._now_s
+        stepper = program.stepper
+        if stepper.advance(now_s):
+            self._something_happened = True
+            if not stepper.running:
+                program.flags.add(Flag.CYCLE_STOP)
+                program.idle_motors()
+        x, y, z = (round(n) / s for n, s in zip(stepper.position, self._motor_steps_per_mm, strict=True))
+        if (x, y, z) != self._shown:
+            self._shown = (x, y, z)
+            self._mechanics.move_to(now_s, self._shown)
+        looks_closely = program.probing or program.state is State.HOME
+        self._tick_s = now_s + (_FINE_TICK_S if looks_closely else TICK_S)
+        self._look_at_switches()
+
+    def _look_at_switches(self) -> None:
+        program = self._program
+        if program.state is State.HOME:
+            self._something_happened = True
+        elif program.probing and self._mechanics.probe_closed() != program.probe_away:
+            program.probing = False
+            program.probe_mm = program.machine_mm
+            program.flags.add(Flag.MOTION_CANCEL)
+            self._something_happened = True
+        elif program.settings.flag(21):
+            pressed = any(self._mechanics.limit_switches())
+            if pressed and not self._limits_pressed and program.state is not State.ALARM and program.alarm is None:
+                program.interrupt_reset()
+                program.alarm = Alarm.HARD_LIMIT
+                self._something_happened = True
+            self._limits_pressed = pressed

@@ -1,0 +1,438 @@
+"""The firmware's program: one endless loop that reads lines, and looks at its real-time flags wherever it waits.
+
+Written as generators. ``yield None`` waits for anything to happen, ``yield time_s`` sleeps and is deaf until then,
+exactly where the real program spins or delays.
+"""
+
+from collections.abc import Callable, Generator
+
+from firmware_sim import grbl_commands, grbl_moves
+from firmware_sim.grbl_dialects import Dialect
+from firmware_sim.grbl_gcode import Frame, GcodeError, Modal, Point
+from firmware_sim.grbl_overrides import Overrides
+from firmware_sim.grbl_planner import Planner
+from firmware_sim.grbl_report import Reporter
+from firmware_sim.grbl_settings import Settings
+from firmware_sim.grbl_states import Alarm, Flag, State, Suspend, Waits
+from firmware_sim.grbl_stepper import Stepper
+from firmware_sim.grbl_uart import Uart
+
+_IN_MOTION = {State.RUN, State.JOG, State.HOME}
+_SPINDLE_RESTORE_S = 4.0
+
+
+class Program:
+    """All that the firmware knows. ``now_s`` is set by the board before it lets the program go on."""
+
+    def __init__(
+        self,
+        dialect: Dialect,
+        settings: Settings,
+        uart: Uart,
+        limit_switches: Callable[[], tuple[bool, bool, bool]],
+        probe_closed: Callable[[], bool],
+    ) -> None:
+        self.dialect = dialect
+        self.settings = settings
+        self.uart = uart
+        self.limit_switches = limit_switches
+        self.probe_closed = probe_closed
+        self.now_s = 0.0
+        self.blocked_until_s = 0.0
+        """The stepper's interrupt holds the processor until then."""
+        self.planner = Planner(dialect.blocks, caps_feed_before_override=dialect.name == "grblhal")
+        self.stepper = Stepper(self.planner, dialect.segments)
+        self.flags: set[Flag] = set()
+        self.alarm: Alarm | None = None
+        self.state = State.IDLE
+        self.origin_steps = [0, 0, 0]
+        """Machine position minus motor position, in steps."""
+        self.coordinates: list[Point] = [(0.0, 0.0, 0.0)] * (9 if dialect.name == "grblhal" else 6)
+        self.homes_mm: list[Point] = [(0.0, 0.0, 0.0)] * 2
+        self.startup_lines = ["", ""]
+        self.build_info = ""
+        self.tool_mm: Point = (0.0, 0.0, 0.0)
+        self.homed = False
+        self.locked_at_start = settings.flag(22)
+        self._line = bytearray()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Everything that a reset clears."""
+        self.abort = False
+        self.suspend = Suspend()
+        self.flags.clear()
+        self.alarm = None
+        self.modal = Modal()
+        self.g92_mm: Point = (0.0, 0.0, 0.0)
+        if not self.dialect.latches_errors:
+            self.tool_mm = (0.0, 0.0, 0.0)
+        self.probe_mm: Point = (0.0, 0.0, 0.0)
+        self.probe_succeeded = False
+        self.probing = False
+        self.probe_away = False
+        self.soft_limit_hit = False
+        self.last_error = 0
+        self.spindle = "M5"
+        self.spindle_rpm = 0.0
+        self.spindle_stopped = False
+        self.flood = False
+        self.overrides = Overrides()
+        self.report = Reporter(self)
+        self._line.clear()
+        self._overflow = False
+        self._comment = ""
+        self.planner.reset()
+        self.planner.feed_override = self.planner.rapid_override = 100
+        self.planner_mm_from_motors()
+
+    # --- places ----------------------------------------------------------------------------------------------------
+
+    @property
+    def machine_steps(self) -> tuple[int, int, int]:
+        """Machine position in whole steps."""
+        x, y, z = (round(p) + o for p, o in zip(self.stepper.position, self.origin_steps, strict=True))
+        return x, y, z
+
+    def _mm(self, steps: tuple[int, int, int]) -> Point:
+        x, y, z = (n / s for n, s in zip(steps, self.settings.per_axis(100), strict=True))
+        return x, y, z
+
+    @property
+    def machine_mm(self) -> Point:
+        """Machine position of the motors, now."""
+        return self._mm(self.machine_steps)
+
+    def planner_mm_from_motors(self) -> None:
+        """Parser and planner believe that they stand where the motors stand."""
+        self.planner.position = self.machine_steps
+        self.position_mm = self.machine_mm
+
+    @property
+    def work_offset_mm(self) -> Point:
+        """Machine minus work coordinates."""
+        parts = zip(self.coordinates[self.modal.coordinates], self.g92_mm, self.tool_mm, strict=True)
+        x, y, z = (a + b + c for a, b, c in parts)
+        return x, y, z
+
+    @property
+    def frame(self) -> Frame:
+        """What the G-code reader must know."""
+        return Frame(
+            position_mm=self.position_mm,
+            coordinates=lambda index: self.coordinates[min(index, len(self.coordinates) - 1)],
+            g92_mm=self.g92_mm,
+            tool_mm=self.tool_mm,
+            homes_mm=(self.homes_mm[0], self.homes_mm[1]),
+            last_coordinates=len(self.coordinates) - 1,
+            any_axis_tool_offset=self.dialect.name == "grblhal",
+            knows_hal_words=self.dialect.name == "grblhal",
+        )
+
+    # --- words and pauses ------------------------------------------------------------------------------------------
+
+    def say(self, text: str) -> None:
+        """One line to the host."""
+        self.uart.say(text + "\r\n", self.now_s)
+
+    def answer(self, error: int) -> None:
+        """The reply that every line gets."""
+        self.say(f"error:{error}" if error else "ok")
+
+    def idle_motors(self) -> None:
+        """After motion the firmware lets the motors settle for ``$1`` ms, unless told to keep them on."""
+        if self.dialect.idle_delay and self.settings[1] != 255 and self.state is not State.HOME:
+            pause_s = self.settings[1] / 1000 * self.dialect.delay_stretch
+            self.blocked_until_s = max(self.blocked_until_s, self.now_s + pause_s)
+
+    def delay(self, duration_s: float) -> Waits:
+        """Deaf for a while."""
+        yield self.now_s + duration_s * self.dialect.delay_stretch
+
+    def interrupt_reset(self) -> None:
+        """0x18, or a limit switch: flag it, stop the spindle, and kill motion dead if there is any."""
+        if Flag.RESET in self.flags:
+            return
+        self.flags.add(Flag.RESET)
+        self.set_spindle("M5", 0.0)
+        self.flood = False
+        slowing = self.stepper.holding and self.stepper.running
+        if self.state in _IN_MOTION or slowing:
+            if self.state is not State.HOME:
+                self.alarm = Alarm.ABORTED
+            elif not self.alarm:
+                self.alarm = Alarm.HOMING_RESET
+            self.homed = False
+            self.stepper.running = False
+            self.idle_motors()
+
+    def set_spindle(self, command: str, speed: float) -> None:
+        """Let the spindle turn, within ``$30`` and ``$31`` and under its override."""
+        if command != self.spindle:
+            self.report.overrides_changed(accessories=True)
+        self.spindle = command
+        wanted = speed * self.overrides.spindle / 100
+        low, high = self.settings[31], self.settings[30]
+        if command == "M5" or self.spindle_stopped or wanted <= 0:
+            self.spindle_rpm = 0.0
+        else:
+            self.spindle_rpm = min(max(wanted, low), high)
+
+    # --- the loop --------------------------------------------------------------------------------------------------
+
+    def run(self) -> Waits:
+        """Power-up, and again after every reset."""
+        while True:
+            self.uart.rx.clear()
+            self._begin()
+            self.stepper.reset()
+            self.planner_mm_from_motors()
+            self.idle_motors()
+            yield None
+            self.say("\r\n" + self.dialect.banner)
+            yield from self._start()
+            while not self.abort:
+                yield from self._read_lines()
+                if self.abort:
+                    break
+                self.start_cycle_if_queued()
+                yield from self.realtime()
+                if self.abort:
+                    break
+                yield None
+
+    def _start(self) -> Waits:
+        if self.settings.flag(22) and self.locked_at_start:
+            self.state = State.ALARM
+        self.locked_at_start = False
+        if self.settings.flag(21) and any(self.limit_switches()) and self.dialect.name == "gnea":
+            self.state = State.ALARM
+            self.say("[MSG:Check Limits]")
+        if self.state in {State.ALARM, State.SLEEP}:
+            self.state = State.ALARM
+            self.say("[MSG:'$H'|'$X' to unlock]")
+        else:
+            self.state = State.IDLE
+            yield from self.run_startup_lines()
+
+    def run_startup_lines(self) -> Waits:
+        """The lines stored by ``$N``."""
+        for text in self.startup_lines:
+            if text:
+                error = yield from self.catching(grbl_moves.run_line(self, text))
+                self.say(f">{text}:" + (f"error:{error}" if error else "ok"))
+
+    def _read_lines(self) -> Waits:
+        rx = self.uart.rx
+        while rx:
+            byte = rx.popleft()
+            if byte not in b"\r\n":
+                self._take(byte)
+                continue
+            yield from self.realtime()
+            if self.abort:
+                return
+            yield self.now_s + self.dialect.line_cost_s
+            text, overflow = self._line.decode("latin-1"), self._overflow
+            self._line.clear()
+            self._overflow = False
+            self._comment = ""
+            yield from self._obey(text, overflow=overflow)
+
+    def _take(self, byte: int) -> None:
+        """One character of a line; blanks and comments are thrown away."""
+        if self._comment:
+            if self._comment == "(" and byte == ord(")"):
+                self._comment = ""
+        elif byte <= ord(" ") or byte == ord("/"):
+            pass
+        elif byte in b"(;":
+            self._comment = chr(byte)
+        elif byte == ord("%") and self.dialect.name == "grblhal" and not self._line:
+            pass
+        elif len(self._line) >= self.dialect.line_size - 1:
+            self._overflow = True
+        else:
+            self._line.append(byte - 32 if ord("a") <= byte <= ord("z") else byte)
+
+    def _obey(self, text: str, *, overflow: bool) -> Waits:
+        if overflow:
+            self.last_error = 11
+        elif not text:
+            self.last_error = 0
+        elif text[0] == "$":
+            self.last_error = yield from self.catching(grbl_commands.run(self, text))
+        elif self.state in {State.ALARM, State.JOG}:
+            self.last_error = 9
+        elif not (self.dialect.latches_errors and self.last_error):
+            self.last_error = yield from self.catching(grbl_moves.run_line(self, text))
+        self.answer(self.last_error)
+
+    def catching(self, part: Waits) -> Generator[float | None, None, int]:
+        """The error code of a part of the program; 0 is fine."""
+        try:
+            yield from part
+        except GcodeError as error:
+            return error.code
+        return 0
+
+    # --- real time -------------------------------------------------------------------------------------------------
+
+    def start_cycle_if_queued(self) -> None:
+        """Ask for motion when there is something to move."""
+        if self.planner.blocks:
+            self.flags.add(Flag.CYCLE_START)
+
+    def wait_for_motion(self) -> Waits:
+        """Until all that is queued has been done."""
+        self.start_cycle_if_queued()
+        while True:
+            yield from self.realtime()
+            if self.abort or not (self.planner.blocks or self.state is State.RUN):
+                return
+            yield None
+
+    def realtime(self) -> Waits:
+        """Look at the flags, and stay here while suspended."""
+        yield from self._look_at_flags()
+        while self.suspend.active and not self.abort:
+            yield from self._suspended()
+            yield None
+            yield from self._look_at_flags()
+
+    def _look_at_flags(self) -> Waits:
+        if self.alarm:
+            yield from self._report_alarm()
+        flags = self.flags
+        if flags:
+            if Flag.RESET in flags:
+                self.abort = True
+                return
+            if Flag.STATUS in flags:
+                flags.discard(Flag.STATUS)
+                self.report.status()
+            self._stops()
+            if Flag.CYCLE_START in flags:
+                flags.discard(Flag.CYCLE_START)
+                self._cycle_start()
+            if Flag.CYCLE_STOP in flags:
+                flags.discard(Flag.CYCLE_STOP)
+                self._cycle_stop()
+        self.overrides.apply(self)
+        if self.state in {State.RUN, State.HOLD, State.DOOR, State.JOG, State.SLEEP} and self.stepper.running:
+            self.stepper.prepare()
+
+    def _report_alarm(self) -> Waits:
+        alarm = self.alarm
+        assert alarm is not None
+        self.state = State.ALARM
+        self.say(f"ALARM:{alarm.value}")
+        yield from self.delay(self.dialect.alarm_pause_s)
+        if alarm in {Alarm.HARD_LIMIT, Alarm.SOFT_LIMIT}:
+            self.say("[MSG:Reset to continue]")
+            self.flags.discard(Flag.RESET)
+            while Flag.RESET not in self.flags:
+                if self.dialect.name == "grblhal" and Flag.STATUS in self.flags:
+                    self.flags.discard(Flag.STATUS)
+                    self.report.status()
+                yield None
+        self.alarm = None
+
+    def _stops(self) -> None:
+        flags, suspend = self.flags, self.suspend
+        asked = flags & {Flag.HOLD, Flag.DOOR, Flag.MOTION_CANCEL, Flag.SLEEP}
+        if not asked:
+            return
+        flags -= asked
+        if self.state in {State.ALARM, State.CHECK} and asked != {Flag.SLEEP}:
+            return
+        if asked != {Flag.MOTION_CANCEL}:
+            flags.discard(Flag.CYCLE_START)
+        if self.state in {State.RUN, State.JOG} and not (suspend.motion_cancel or suspend.jog_cancel):
+            if self.dialect.drops_segments and Flag.MOTION_CANCEL in asked:
+                self.stepper.drop_prepared()
+            self.stepper.hold()
+            suspend.active = True
+            if self.state is State.JOG and Flag.SLEEP not in asked:
+                suspend.jog_cancel = True
+        elif self.state in {State.IDLE, State.ALARM}:
+            suspend.active = True
+            suspend.complete = True
+        if Flag.MOTION_CANCEL in asked and self.state is not State.JOG:
+            suspend.motion_cancel = True
+        if Flag.HOLD in asked and self.state not in {State.DOOR, State.JOG, State.SLEEP}:
+            self.state = State.HOLD
+        if Flag.DOOR in asked:
+            self.say("[MSG:Check Door]")
+            suspend.restoring = False
+            if not suspend.jog_cancel and self.state is not State.SLEEP:
+                self.state = State.DOOR
+        if Flag.SLEEP in asked:
+            self.state = State.SLEEP
+
+    def _cycle_start(self) -> None:
+        suspend = self.suspend
+        if self.state is State.DOOR and suspend.complete:
+            suspend.restoring = True
+        elif self.state is State.IDLE or (self.state is State.HOLD and suspend.complete):
+            resumed = self.state is State.HOLD
+            self.resume()
+            if resumed and self.dialect.name == "grblhal":
+                self.say("[MSG:]")
+
+    def resume(self) -> None:
+        """Let motion begin, or go on."""
+        if self.spindle_stopped:
+            self.spindle_stopped = False
+            self.set_spindle(self.spindle, self.modal.speed)
+            self.report.overrides_changed(accessories=True)
+        self.stepper.release()
+        self.suspend = Suspend()
+        if self.planner.blocks:
+            self.state = State.RUN
+            self.planner.recalculate(self.stepper.speed)
+            self.stepper.prepare()
+            self.stepper.wake_up(self.now_s)
+        else:
+            self.state = State.IDLE
+
+    def _cycle_stop(self) -> None:
+        suspend = self.suspend
+        held = self.state in {State.HOLD, State.DOOR, State.SLEEP}
+        if held and not suspend.jog_cancel and not self.soft_limit_hit:
+            suspend.active = True
+            suspend.complete = True
+            self.stepper.release()
+            self.planner.recalculate(0.0)
+            if self.dialect.name == "grblhal" and self.planner.blocks:
+                self.report.held_feed = self.planner.blocks[0].nominal_speed
+            return
+        if suspend.jog_cancel:
+            self.planner.reset()
+            self.stepper.reset()
+            self.idle_motors()
+            self.planner_mm_from_motors()
+        self.stepper.release()
+        self.suspend = Suspend()
+        self.state = State.DOOR if self.state is State.DOOR else State.IDLE
+        if self.state is State.DOOR:
+            self.suspend.active = self.suspend.complete = True
+
+    def _suspended(self) -> Waits:
+        """The spindle stops while the door is open, and is back at speed before motion goes on."""
+        if self.state is State.DOOR and self.suspend.complete:
+            if not self.suspend.restoring:
+                if not self.spindle_stopped and self.spindle != "M5":
+                    self.spindle_stopped = True
+                    self.set_spindle(self.spindle, self.modal.speed)
+                return
+            if self.spindle_stopped:
+                self.spindle_stopped = False
+                self.set_spindle(self.spindle, self.modal.speed)
+                ready_s = self.now_s + _SPINDLE_RESTORE_S
+                while self.now_s < ready_s and Flag.RESET not in self.flags and Flag.DOOR not in self.flags:
+                    yield self.now_s + 0.05
+                    if Flag.STATUS in self.flags:
+                        self.flags.discard(Flag.STATUS)
+                        self.report.status()
+            self.resume()
