@@ -1,0 +1,96 @@
+"""One process at a time on one device, and a name for the one that has it.
+
+A lock file for each device is held with ``flock``: it binds root as well, and the kernel lets go of it when the process
+dies, however it dies, so that a stale lock does not exist. The file tells who holds it. That is needed beside the
+kernel's own exclusive mode of serial ports, which root ignores and which names nobody.
+"""
+
+import contextlib
+import fcntl
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+from drivers.errors import DeviceBusyError
+
+_SHARED_PLACES = (Path("/run/lock"), Path(tempfile.gettempdir()))
+
+
+class DeviceLock:
+    """Held from construction until ``release()``.
+
+    Raises:
+        DeviceBusyError: another process, which the message names, holds the device.
+    """
+
+    def __init__(self, device: str) -> None:
+        path = lock_path(device)
+        self._fd = _open(path)
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(self._fd)
+            owner = _read(path) or "a process that did not leave its name"
+            raise DeviceBusyError(
+                f"{device}: in use by {owner} (lock file {path}); stop that process, or wait until it ends"
+            ) from None
+        os.ftruncate(self._fd, 0)
+        os.pwrite(self._fd, f"pid {os.getpid()} ({_command()})\nstarted {_start_ticks(os.getpid())}\n".encode(), 0)
+
+    def release(self) -> None:
+        """Let go; a second call does nothing."""
+        if self._fd >= 0:
+            os.ftruncate(self._fd, 0)
+            os.close(self._fd)
+            self._fd = -1
+
+
+def lock_path(device: str) -> Path:
+    """The lock file of a device, the same for every name that leads to it."""
+    place = next(place for place in _SHARED_PLACES if os.access(place, os.W_OK))
+    return place / ("mill" + os.path.realpath(device).replace("/", "-") + ".lock")
+
+
+def owner_of(device: str) -> str | None:
+    """Who holds the device, "pid 123 (mill run)", or None; takes and changes nothing."""
+    path = lock_path(device)
+    owner = _read(path)
+    if owner is None:
+        return None
+    # What a killed process wrote is still there; it counts only while that very process lives.
+    pid = int(owner.split()[1])
+    with contextlib.suppress(OSError):
+        started = path.read_text(errors="replace").splitlines()[1].removeprefix("started ")
+        if started == _start_ticks(pid):
+            return owner
+    return None
+
+
+def _open(path: Path) -> int:
+    flags = os.O_RDWR | os.O_CLOEXEC
+    with contextlib.suppress(FileNotFoundError):
+        # Without O_CREAT: the kernel's protection of sticky directories refuses that for another user's file.
+        return os.open(path, flags)
+    fd = os.open(path, flags | os.O_CREAT, 0o600)
+    # Whoever may use the device may need to lock it after us.
+    os.fchmod(fd, 0o666)
+    return fd
+
+
+def _read(path: Path) -> str | None:
+    try:
+        lines = path.read_text(errors="replace").splitlines()
+    except OSError:
+        return None
+    return lines[0] if len(lines) == 2 and lines[0].startswith("pid ") else None
+
+
+def _command() -> str:
+    return " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]).replace("\n", " ")[:200]
+
+
+def _start_ticks(pid: int) -> str:
+    stat = Path(f"/proc/{pid}/stat").read_text(errors="replace")
+    # The command name may hold spaces and brackets; the fields that count follow the last bracket.
+    return stat.rpartition(")")[2].split()[19]

@@ -1,0 +1,433 @@
+"""GRBL 1.1 as a motion controller: gnea's 1.1h and grblHAL.
+
+Positions of {R} become machine coordinates by ``origin_mm``; moves are written in machine coordinates, so that no work
+offset can bend them. The driver writes two settings and no other: the travel of Z for the floor, which it restores,
+and on 1.1h the bits of ``$10`` without which the controller does not tell how full its planner is.
+
+Danger: GRBL has no watchdog. When the host dies, the queue runs out and the machine stops where the queue ends.
+"""
+
+import math
+from collections.abc import Mapping
+
+from drivers.clock import Clock
+from drivers.errors import (
+    ConfigError,
+    ConnectionLostError,
+    DeviceFaultError,
+    DeviceTimeoutError,
+    NotHomedError,
+    OutOfTravelError,
+    ProtocolError,
+)
+from drivers.motion.grbl import machine, protocol
+from drivers.motion.grbl.queue import BlockQueue
+from drivers.motion.grbl.session import GrblSession
+from drivers.motion.interface import MotionController, MotionState, MotionStatus, Travel, Vector
+from drivers.motion.transport import SerialLine
+
+MAX_BLOCKS = 14
+"""With its planner full, 1.1h runs a waiting line to its target even after a cancel; one block below that is safe."""
+POLL_S = 0.08
+"""Together with the reply about 12 Hz, which an AVR bears while it plans."""
+MODAL_LINE = "G21G90G94"
+
+_STATES = {
+    "Run": MotionState.MOVING,
+    "Jog": MotionState.MOVING,
+    "Home": MotionState.HOMING,
+    "Alarm": MotionState.ALARM,
+}
+_DEAD_TIME_GNEA_S = 0.040
+_DEAD_TIME_HAL_S = 0.075
+_STEP_MM = machine.RESOLUTION_MM
+_SETTLE_S = 0.15
+
+
+class GrblController(MotionController):
+    """One GRBL controller. See ``MotionController`` for the promises; this adds only what is GRBL's own."""
+
+    def __init__(
+        self,
+        line: SerialLine,
+        clock: Clock,
+        *,
+        origin_mm: Vector,
+        max_feed_mm_per_s: float,
+        expected_settings: Mapping[str, float] | None = None,
+    ) -> None:
+        """Reset the controller, read who it is and how it is set, and refuse one that is set wrongly.
+
+        Args:
+            line: an open line; closed again when the constructor raises.
+            clock: monotonic seconds.
+            origin_mm: where the controller's machine coordinates put the origin of {R}.
+            max_feed_mm_per_s: the highest feed that ``start_move`` takes.
+            expected_settings: settings such as "$100" that must read back as given.
+
+        Raises:
+            DeviceTimeoutError: no GRBL controller answers.
+            ProtocolError: something answers that does not speak GRBL 1.1.
+            ConfigError: a setting is not as the rig file or mill needs it.
+        """
+        self._clock = clock
+        self._origin_mm = origin_mm
+        self._max_feed_mm_per_s = max_feed_mm_per_s
+        self._session = GrblSession(line, clock)
+        self._session.on_report = self._forget_executed
+        self._queue = BlockQueue()
+        self._homed = False
+        self._held = False
+        self._floor_mm: float | None = None
+        self._closed = False
+        self._info = protocol.BuildInfo("", "", "", 0, 0, is_hal=False)
+        try:
+            self._session.reset_and_release()
+            self._info = self._read_build_info()
+            self._settings = self._read_settings()
+            machine.check_expected(line.name, self._settings, expected_settings or {})
+            if (mask := machine.report_mask_to_write(self._settings, self._info)) is not None:
+                self._write_setting(machine.REPORT_MASK, mask)
+            machine.check_required(line.name, self._settings, self._info)
+            self._full_travel_mm = self._settings[machine.FLOOR_SETTING]
+            self._travel = self._read_travel()
+            self._session.query()
+        except BaseException:
+            self._session.close()
+            raise
+
+    @property
+    def identity(self) -> str:
+        """Firmware, version, and the text that the owner stored with ``$I=``."""
+        return self._info.identity
+
+    @property
+    def travel(self) -> Travel:
+        """The travel in {R}, after soft limits and floor."""
+        return self._travel
+
+    @property
+    def dead_time_s(self) -> float:
+        """Measured from writing a line to the motor's first step."""
+        return _DEAD_TIME_HAL_S if self._info.is_hal else _DEAD_TIME_GNEA_S
+
+    def home(self) -> None:
+        """Find the switches; releases a latched fault. A floor stays in force."""
+        session = self._session
+        if session.fault is None:
+            self._come_to_rest()
+        elif session.is_lost:
+            session.check()
+        if session.fault is not None:
+            session.reset_and_release()
+        self._homed = False
+        if self._floor_mm is not None:
+            # The search for the switches is as long as the travel setting says.
+            self._write_setting(machine.FLOOR_SETTING, self._full_travel_mm)
+        self._find_switches()
+        if self._floor_mm is not None:
+            self._write_floor(self._floor_mm)
+            if self._info.is_hal:
+                self._find_switches()
+
+    def start_move(self, target_mm: Vector, *, feed_mm_per_s: float) -> None:
+        """Queue one straight move; returns when the controller has acknowledged it."""
+        self._session.pump(0.0)
+        self._session.check()
+        if not self._homed:
+            raise NotHomedError(f"{self._session.name}: the position is not trusted; home() first")
+        if not self._travel.contains(target_mm):
+            raise OutOfTravelError(
+                f"{self._session.name}: target {_shown(target_mm)} mm is outside the travel "
+                f"{_shown(self._travel.low_mm)} to {_shown(self._travel.high_mm)} mm of {{R}}; nothing was sent"
+            )
+        if not 0 < feed_mm_per_s <= self._max_feed_mm_per_s:
+            raise ConfigError(
+                f"{self._session.name}: feed {feed_mm_per_s:g} mm/s; above 0 and at most {self._max_feed_mm_per_s:g} "
+                "is allowed; nothing was sent"
+            )
+        if self._session.upset is not None:
+            raise DeviceFaultError(
+                f"{self._session.name}: {self._session.upset}, so that a move would not start where it should; "
+                "flush() first; nothing was sent"
+            )
+        self._wait_for_room()
+        machine_mm = self._machine_mm(target_mm)
+        self._session.command(protocol.move_line(machine_mm, feed_mm_per_s * 60.0))
+        self._queue.add(self._last_report().machine_mm, machine_mm, feed_mm_per_s, self._settings)
+
+    def status(self) -> MotionStatus:
+        """A fresh report; with a fault latched the last that the controller gave, as 1.1h falls silent in an alarm."""
+        session = self._session
+        if session.fault is None:
+            session.query()
+        elif session.is_lost:
+            session.check()
+        else:
+            session.try_query()
+        return self._status()
+
+    def wait_until_idle(self, timeout_s: float) -> MotionStatus:
+        """Wait for the end of all queued motion, and of a hold if one stands."""
+        deadline_s = self._clock.now_s() + timeout_s
+        while True:
+            status = self.status()
+            self._session.check()
+            if status.state is MotionState.IDLE:
+                return status
+            if status.state is MotionState.OTHER or status.state is MotionState.ALARM:
+                raise DeviceFaultError(
+                    f"{self._session.name}: the controller is in state {self._last_report().state}, in which nothing "
+                    "moves; look at the machine, then home()"
+                )
+            if self._clock.now_s() >= deadline_s:
+                raise DeviceTimeoutError(
+                    f"{self._session.name}: still {status.state} after {timeout_s:g} s, about {status.queued_s:.1f} s "
+                    "queued; hold() or flush() stops it"
+                )
+            self._session.pump_until(lambda: self._session.fault is not None, POLL_S)
+
+    def hold(self) -> None:
+        """Feed hold, by one real-time byte."""
+        self._held = True
+        self._session.urgent(protocol.HOLD)
+
+    def resume(self) -> None:
+        """Go on after ``hold()``, once the axes stand still: 1.1h throws a resume away that comes earlier."""
+        self._session.check()
+        if not self._held and self._session.query().state != "Hold":
+            return
+        report = self._wait_for_standstill(2.0)
+        self._held = False
+        if report.state != "Hold":
+            return
+        self._session.urgent(protocol.RESUME)
+        deadline_s = self._clock.now_s() + 1.0
+        while self._session.query().state == "Hold":
+            if self._clock.now_s() >= deadline_s:
+                raise DeviceTimeoutError(
+                    f"{self._session.name}: the hold still stands 1 s after resume(); is a door or hold input active?"
+                )
+            self._session.pump(0.02)
+
+    def flush(self, timeout_s: float = 1.0) -> MotionStatus:
+        """Hold, wait for standstill, reset: the way to drop a queue that keeps the position on both firmwares."""
+        self._session.check()
+        self.hold()
+        self._wait_for_standstill(timeout_s)
+        self._session.reset()
+        self._session.check()
+        self._forget_queue()
+        if self._session.query().state == "Alarm":
+            self._session.command("$X")
+        self._session.command(MODAL_LINE)
+        self._session.query()
+        return self._status()
+
+    def halt(self) -> None:
+        """Feed hold and reset in one write."""
+        self._session.halt()
+
+    def set_floor(self, z_mm: float | None) -> None:
+        """Write the travel of Z so that the controller refuses targets below, read it back; None restores it.
+
+        Danger: grblHAL checks an axis against its new travel only after homing it again, so that there this homes when
+        the position is trusted, and the axes end at their switches.
+
+        Raises:
+            OutOfTravelError: the floor is outside the travel or above the tip; nothing was written.
+            ConfigError: the machine's Z coordinates are positive, so that its travel cannot bound them from below.
+        """
+        session = self._session
+        session.check()
+        if z_mm is None and self._floor_mm is None:
+            return
+        if self.status().state is not MotionState.IDLE and self._homed:
+            raise DeviceFaultError(
+                f"{session.name}: a floor can only be written at standstill; wait_until_idle() first"
+            )
+        if z_mm is None:
+            self._write_setting(machine.FLOOR_SETTING, self._full_travel_mm)
+            self._floor_mm = None
+        else:
+            self._check_floor(z_mm)
+            self._write_floor(z_mm)
+            self._floor_mm = z_mm
+        self._travel = self._read_travel()
+        if self._info.is_hal and self._homed:
+            self._find_switches()
+
+    def close(self) -> None:
+        """Bring the machine to rest, restore the floor, give the line back."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            # A fault has stopped the machine already.
+            if self._session.fault is None:
+                self._come_to_rest()
+            if self._floor_mm is not None and not self._session.is_lost:
+                if self._session.fault is not None:
+                    self._session.reset_and_release()
+                self._write_setting(machine.FLOOR_SETTING, self._full_travel_mm)
+        except ConnectionLostError:
+            pass  # There is nobody left to bring to rest.
+        finally:
+            self._session.close()
+
+    def _read_build_info(self) -> protocol.BuildInfo:
+        replies = self._session.command("$I", 2.0)
+        return protocol.build_info([reply for reply in replies if isinstance(reply, protocol.Feedback)])
+
+    def _read_settings(self) -> dict[int, float]:
+        replies = self._session.command("$$", 3.0)
+        settings = [reply for reply in replies if isinstance(reply, protocol.Setting)]
+        return {setting.number: setting.value for setting in settings if setting.value is not None}
+
+    def _write_setting(self, number: int, value: float) -> None:
+        self._session.command(f"${number}={value:.3f}".rstrip("0").rstrip("."), 2.0)
+        self._settings = self._read_settings()
+        found = self._settings.get(number)
+        if found is None or abs(found - value) > _STEP_MM / 2:
+            raise DeviceFaultError(
+                f"{self._session.name}: setting ${number} was written as {value:g} and reads back as {found}; "
+                "is its memory worn out or write-protected?"
+            )
+
+    def _span(self, axis: int) -> machine.Span:
+        return machine.span_of(axis, self._settings, self._info)
+
+    def _read_travel(self) -> Travel:
+        x, y, z = (self._span(axis) for axis in range(3))
+        return Travel(self._robot_mm((x.low_mm, y.low_mm, z.low_mm)), self._robot_mm((x.high_mm, y.high_mm, z.high_mm)))
+
+    def _check_floor(self, z_mm: float) -> None:
+        span = machine.span_of(2, {**self._settings, machine.FLOOR_SETTING: self._full_travel_mm}, self._info)
+        if not span.is_negative:
+            raise ConfigError(
+                f"{self._session.name}: Z homes at its low end with the origin there, so that its travel setting "
+                "bounds it from above only; let it home at the top ($23), or put the origin at the top"
+            )
+        low_mm, high_mm = span.low_mm - self._origin_mm[2], span.high_mm - self._origin_mm[2]
+        if not low_mm <= z_mm < high_mm:
+            raise OutOfTravelError(
+                f"{self._session.name}: floor z = {z_mm:g} mm is outside the travel {low_mm:g} to {high_mm:g} mm; "
+                "nothing was written"
+            )
+        tip_mm = self._status().position_mm[2]
+        if self._homed and tip_mm < z_mm:
+            raise OutOfTravelError(
+                f"{self._session.name}: floor z = {z_mm:g} mm is above the tip at {tip_mm:g} mm; lift first; "
+                "nothing was written"
+            )
+
+    def _write_floor(self, z_mm: float) -> None:
+        # Rounded up: the firmware keeps three decimals, and a floor is never lower than asked.
+        low_mm = math.ceil((z_mm + self._origin_mm[2]) / _STEP_MM - 1e-6) * _STEP_MM
+        self._write_setting(machine.FLOOR_SETTING, round(self._span(2).travel_for(low_mm), 3))
+
+    def _find_switches(self) -> None:
+        try:
+            self._session.command("$H", machine.homing_timeout_s(self._settings))
+        except DeviceTimeoutError:
+            self.halt()
+            raise
+        self._session.command(MODAL_LINE)
+        state = self._session.query().state
+        if state != "Idle":
+            raise DeviceFaultError(
+                f"{self._session.name}: state {state} after homing; Idle is due; look at the machine"
+            )
+        self._forget_queue()
+        self._homed = True
+
+    def _come_to_rest(self) -> None:
+        session = self._session
+        try:
+            state = session.query().state
+            if state == "Alarm" or (self._status().state is MotionState.IDLE and session.upset is None):
+                return
+            self.flush(2.0)
+        except (DeviceTimeoutError, DeviceFaultError, ProtocolError):
+            # A reset stops what does not come to rest when asked.
+            session.latch("did not come to rest when asked", position_lost=True)
+            session.reset()
+
+    def _wait_for_standstill(self, timeout_s: float) -> protocol.Report:
+        started_s = self._clock.now_s()
+        while True:
+            report = self._session.query()
+            self._session.check()
+            waited_s = self._clock.now_s() - started_s
+            if report.state == "Hold" and report.substate == 0:
+                return report
+            # The first report after a hold may still be from before it.
+            if waited_s > _SETTLE_S and (report.state == "Alarm" or self._status().state is MotionState.IDLE):
+                return report
+            if waited_s >= timeout_s:
+                raise DeviceTimeoutError(
+                    f"{self._session.name}: no standstill within {timeout_s:g} s of a hold, state {report.state}; "
+                    "nothing was dropped and the hold stands; halt() stops at once"
+                )
+            self._session.pump(0.01)
+
+    def _wait_for_room(self) -> None:
+        limit = min(MAX_BLOCKS, self._info.planner_blocks - 1)
+        while not self._held and len(self._queue) >= limit:
+            report = self._session.query()
+            self._session.check()
+            if report.state not in ("Run", "Idle"):
+                raise DeviceFaultError(
+                    f"{self._session.name}: the queue is full and the controller is in state {report.state}; "
+                    "resume() or flush() first"
+                )
+            if len(self._queue) >= limit:
+                self._session.pump(0.02)
+        if self._held:
+            raise DeviceFaultError(f"{self._session.name}: a hold stands; resume() or flush() first; nothing was sent")
+
+    def _forget_executed(self, report: protocol.Report) -> None:
+        if report.blocks_free is not None:
+            self._queue.keep_newest(self._info.planner_blocks - report.blocks_free)
+
+    def _forget_queue(self) -> None:
+        self._queue.clear()
+        self._held = False
+
+    def _last_report(self) -> protocol.Report:
+        if self._session.report is None:
+            self._session.query()
+        assert self._session.report is not None
+        return self._session.report
+
+    def _status(self) -> MotionStatus:
+        report = self._last_report()
+        fault = self._session.fault
+        return MotionStatus(
+            state=MotionState.ALARM if fault else self._motion_state(report),
+            position_mm=self._robot_mm(report.machine_mm),
+            queued_s=self._queue.duration_s(report.machine_mm, standing=report.state == "Idle"),
+            time_s=self._session.report_time_s,
+            alarm=fault.words if fault else None,
+        )
+
+    def _motion_state(self, report: protocol.Report) -> MotionState:
+        if report.state == "Hold":
+            return MotionState.HELD if report.substate == 0 else MotionState.HOLDING
+        if report.state == "Idle":
+            # A block that is planned already starts a moment later.
+            planned = report.blocks_free is not None and report.blocks_free < self._info.planner_blocks
+            return MotionState.MOVING if planned or self._session.has_unacknowledged else MotionState.IDLE
+        return _STATES.get(report.state, MotionState.OTHER)
+
+    def _machine_mm(self, robot_mm: Vector) -> Vector:
+        x, y, z = (round(value + origin, 3) for value, origin in zip(robot_mm, self._origin_mm, strict=True))
+        return (x, y, z)
+
+    def _robot_mm(self, machine_mm: Vector) -> Vector:
+        x, y, z = (round(value - origin, 6) for value, origin in zip(machine_mm, self._origin_mm, strict=True))
+        return (x, y, z)
+
+
+def _shown(point_mm: Vector) -> str:
+    return "(" + ", ".join(f"{value:.4g}" for value in point_mm) + ")"

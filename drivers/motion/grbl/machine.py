@@ -1,0 +1,143 @@
+"""What a GRBL controller's own settings say about the machine: its travel, its limits, and what mill insists on."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from drivers.errors import ConfigError
+from drivers.motion.grbl.protocol import BuildInfo
+from drivers.motion.interface import Vector
+
+AXES = "XYZ"
+RESOLUTION_MM = 0.001
+"""What the firmware's three decimals keep."""
+REPORT_MASK, REPORT_INCHES, SOFT_LIMITS, HARD_LIMITS, HOMING, HOMING_DIRECTION = 10, 13, 20, 21, 22, 23
+LOCATE_RATE, SEEK_RATE, PULL_OFF = 24, 25, 27
+MAX_RATE, ACCELERATION, MAX_TRAVEL = 110, 120, 130
+"""The first of three, one for each axis."""
+FLOOR_SETTING = MAX_TRAVEL + 2
+
+_MPOS_AND_BF = 0b11
+_HAL_ORIGIN_AT_HOME = 8
+_GNEA_ORIGIN_AT_HOME = "Z"
+
+Settings = Mapping[int, float]
+
+
+@dataclass(frozen=True)
+class Span:
+    """What soft limits allow on one axis, in machine coordinates."""
+
+    low_mm: float
+    high_mm: float
+    margin_mm: float
+    """grblHAL keeps this distance from the switches while hard limits are on."""
+    is_negative: bool
+    """Whether the travel setting moves the low end, as it does wherever the coordinates are negative."""
+
+    def travel_for(self, low_mm: float) -> float:
+        """The travel setting that puts the low end at ``low_mm``."""
+        return self.margin_mm - low_mm
+
+
+def number_of(name: str) -> int:
+    """``"$130"`` or ``"130"`` as a setting's number.
+
+    Raises:
+        ConfigError: it is neither.
+    """
+    digits = name.removeprefix("$")
+    if not digits.isdecimal():
+        raise ConfigError(f"[motion.settings] key {name!r}: GRBL settings are called '$' and a number, such as '$130'")
+    return int(digits)
+
+
+def check_expected(line: str, settings: Settings, expected: Mapping[str, float]) -> None:
+    """Compare what the controller has with what the rig file expects.
+
+    Raises:
+        ConfigError: names the key, what was found and what was expected.
+    """
+    for name, value in expected.items():
+        number = number_of(name)
+        found = settings.get(number)
+        if found is None:
+            raise ConfigError(f"{line}: the controller has no setting ${number}; the rig file expects {value:g}")
+        # The firmware keeps single precision and prints three decimals.
+        if not math.isclose(found, value, rel_tol=1e-6, abs_tol=5.1e-4):
+            raise ConfigError(
+                f"{line}: setting ${number} is {found:g}, the rig file expects {value:g}; is this the right "
+                f"controller? If so, correct [motion.settings] or write ${number}={value:g} into the controller"
+            )
+
+
+def check_required(line: str, settings: Settings, info: BuildInfo) -> None:
+    """Refuse a controller that would not refuse for itself, or that counts in inches.
+
+    Raises:
+        ConfigError: names the setting, what was found and what to write.
+    """
+
+    def require(number: int, *, bit: int, wanted: int, why: str) -> None:
+        found = settings.get(number)
+        if found is None or int(found) & bit != wanted:
+            shown = "missing" if found is None else f"{found:g}"
+            raise ConfigError(
+                f"{line}: setting ${number} is {shown}, and mill needs {why}; write ${number}="
+                f"{(0 if found is None else int(found)) & ~bit | wanted} into the controller"
+            )
+
+    require(HOMING, bit=1, wanted=1, why="homing on")
+    require(SOFT_LIMITS, bit=1, wanted=1, why="soft limits on")
+    require(REPORT_INCHES, bit=1, wanted=0, why="reports in millimetres")
+    if info.is_hal:
+        require(REPORT_MASK, bit=_MPOS_AND_BF, wanted=_MPOS_AND_BF, why="machine position and buffer in reports")
+    for axis, letter in enumerate(AXES):
+        for first in (MAX_RATE, MAX_TRAVEL):
+            if settings.get(first + axis, 0.0) <= 0:
+                raise ConfigError(f"{line}: setting ${first + axis} ({letter}) is missing or zero; it must be positive")
+
+
+def report_mask_to_write(settings: Settings, info: BuildInfo) -> int | None:
+    """The ``$10`` that makes 1.1h report MPos and Bf, None where it does already.
+
+    Never one for grblHAL, where a small mask takes other fields away.
+    """
+    mask = int(settings.get(REPORT_MASK, 0))
+    return None if info.is_hal or mask & _MPOS_AND_BF == _MPOS_AND_BF else mask | _MPOS_AND_BF
+
+
+def span_of(axis: int, settings: Settings, info: BuildInfo) -> Span:
+    """The soft limits of one axis after homing.
+
+    The coordinates end at zero at the positive end, wherever the switch is ($23), unless the firmware was told to put
+    its origin where it homes and it homes at the negative end: then they begin at zero.
+    """
+    travel_mm = settings[MAX_TRAVEL + axis]
+    homes_low = bool(int(settings.get(HOMING_DIRECTION, 0)) >> axis & 1)
+    if info.is_hal:
+        at_home = bool(int(settings[HOMING]) & _HAL_ORIGIN_AT_HOME)
+        margin_mm = settings.get(PULL_OFF, 0.0) if int(settings.get(HARD_LIMITS, 0)) & 1 else 0.0
+    else:
+        at_home = _GNEA_ORIGIN_AT_HOME in info.options
+        margin_mm = 0.0
+    if at_home and homes_low:
+        return Span(0.0, travel_mm - margin_mm, margin_mm, is_negative=False)
+    return Span(margin_mm - travel_mm, 0.0 if at_home else -margin_mm, margin_mm, is_negative=True)
+
+
+def homing_timeout_s(settings: Settings) -> float:
+    """Longer than any homing that can still succeed: 1.5 travels of each axis at seek rate, and locating."""
+    seek_mm_per_s = max(settings.get(SEEK_RATE, 100.0), 1.0) / 60.0
+    locate_mm_per_s = max(settings.get(LOCATE_RATE, 25.0), 1.0) / 60.0
+    travel_mm = sum(settings[MAX_TRAVEL + axis] for axis in range(3))
+    return 10.0 + 1.5 * travel_mm / seek_mm_per_s + 30.0 * settings.get(PULL_OFF, 1.0) / locate_mm_per_s
+
+
+def reachable_mm_per_s(delta_mm: Vector, feed_mm_per_s: float, settings: Settings) -> float:
+    """The feed, or what the axes' own maximum rates leave of it along ``delta_mm``."""
+    length_mm = math.hypot(*delta_mm)
+    rates = (
+        settings[MAX_RATE + axis] / 60.0 * length_mm / abs(delta) for axis, delta in enumerate(delta_mm) if delta != 0
+    )
+    return min(feed_mm_per_s, *rates) if length_mm > 0 else feed_mm_per_s

@@ -1,0 +1,58 @@
+"""What the controller has planned and not yet executed, as far as the host can know from its own lines and ``Bf``."""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from drivers.motion.grbl.machine import RESOLUTION_MM, Settings, reachable_mm_per_s
+from drivers.motion.interface import Vector
+
+
+@dataclass(frozen=True)
+class _Block:
+    target_mm: Vector
+    speed_mm_per_s: float
+    duration_s: float
+
+
+class BlockQueue:
+    """Blocks in the order they were acknowledged; machine coordinates."""
+
+    def __init__(self) -> None:
+        self._blocks: deque[_Block] = deque()
+        self._last: _Block | None = None
+
+    def __len__(self) -> int:
+        return len(self._blocks)
+
+    def add(self, position_mm: Vector, target_mm: Vector, feed_mm_per_s: float, settings: Settings) -> None:
+        """An acknowledged move; it starts where the one before ends, or at ``position_mm`` if there is none."""
+        start_mm = self._last.target_mm if self._last else position_mm
+        x, y, z = (to - at for to, at in zip(target_mm, start_mm, strict=True))
+        length_mm = math.hypot(x, y, z)
+        if length_mm < RESOLUTION_MM / 2:
+            return  # The firmware plans no block for it.
+        speed_mm_per_s = reachable_mm_per_s((x, y, z), feed_mm_per_s, settings)
+        self._last = _Block(target_mm, speed_mm_per_s, length_mm / speed_mm_per_s)
+        self._blocks.append(self._last)
+
+    def keep_newest(self, count: int) -> None:
+        """The controller has ``count`` blocks left, and it executes the oldest first."""
+        while len(self._blocks) > count:
+            self._blocks.popleft()
+
+    def clear(self) -> None:
+        """The queue was dropped, and where the axes stand is for the next report to say."""
+        self._blocks.clear()
+        self._last = None
+
+    def duration_s(self, position_mm: Vector, *, standing: bool) -> float:
+        """Seconds of motion left for axes at ``position_mm``, without acceleration."""
+        if self._blocks:
+            under_way = self._blocks[0]
+        elif self._last is not None and not standing:
+            under_way = self._last
+        else:
+            return 0.0
+        rest_s = math.dist(position_mm, under_way.target_mm) / under_way.speed_mm_per_s
+        return rest_s + sum(block.duration_s for block in list(self._blocks)[1:])

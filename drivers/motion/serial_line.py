@@ -1,0 +1,120 @@
+"""A serial port or a pty as a ``SerialLine``, over pyserial.
+
+pyserial opens and configures the port; bytes go through the file descriptor itself, because pyserial reconfigures the
+port at every change of its timeout.
+"""
+
+import contextlib
+import errno
+import os
+import select
+
+import serial
+
+from drivers.errors import ConnectionLostError, DeviceBusyError, DeviceError
+from drivers.lock import DeviceLock
+
+_WRITE_S = 0.2
+_CHUNK = 4096
+
+
+class PortLine:
+    """An open port. Reading waits in ``select`` and holds nothing that a writer needs."""
+
+    def __init__(self, port: serial.Serial, lock: DeviceLock) -> None:
+        self._port = port
+        self._lock = lock
+        self._fd = port.fileno()
+        self._open = True
+
+    @property
+    def name(self) -> str:
+        """The path it was opened by."""
+        return str(self._port.port)
+
+    def write(self, data: bytes) -> None:
+        """Put bytes on the wire; a wire that takes none for 0.2 s is gone."""
+        while data:
+            self._require_open()
+            try:
+                data = data[os.write(self._fd, data) :]
+            except BlockingIOError:
+                if not select.select([], [self._fd], [], _WRITE_S)[1]:
+                    raise ConnectionLostError(
+                        f"{self.name}: the wire took no byte for {_WRITE_S:g} s; unplug and replug the controller"
+                    ) from None
+            except OSError as error:
+                raise self._gone(error) from error
+
+    def read(self, timeout_s: float) -> bytes:
+        """Whatever has arrived, waiting up to ``timeout_s`` for the first byte."""
+        self._require_open()
+        try:
+            if not select.select([self._fd], [], [], max(0.0, timeout_s))[0]:
+                return b""
+            data = os.read(self._fd, _CHUNK)
+        except BlockingIOError:
+            return b""
+        except (OSError, ValueError) as error:
+            self._require_open()
+            raise self._gone(error) from error
+        if not data:
+            # Readable without a byte is how a pty and a pulled USB adapter say that nobody is there.
+            raise self._gone(OSError(errno.EIO, "end of file"))
+        return data
+
+    def close(self) -> None:
+        """Give the port and its lock back."""
+        if self._open:
+            self._open = False
+            try:
+                self._port.close()
+            finally:
+                self._lock.release()
+
+    def _require_open(self) -> None:
+        if not self._open:
+            raise ConnectionLostError(f"{self.name}: the port was closed; open it again")
+
+    def _gone(self, error: OSError | ValueError) -> ConnectionLostError:
+        return ConnectionLostError(
+            f"{self.name}: the other side is gone ({error}); check cable and power, then `mill devices` and home again"
+        )
+
+
+def open_serial(port: str, baud: int) -> PortLine:
+    """Open a port for this process alone.
+
+    Raises:
+        ConnectionLostError: absent or not openable; the message names path, reason and next step.
+        DeviceBusyError: another process, which the message names, has it.
+    """
+    # Before the lock, so that a wrong path is told as what it is.
+    if not os.path.exists(port):  # noqa: PTH110  (a path as the user wrote it, not one of ours)
+        raise ConnectionLostError(_absent(port, OSError(errno.ENOENT, os.strerror(errno.ENOENT))))
+    lock = DeviceLock(port)
+    try:
+        opened = serial.Serial(port, baud, timeout=0, exclusive=True)
+    except (serial.SerialException, OSError) as error:
+        lock.release()
+        raise _refusal(port, error) from error
+    # A USB adapter that can hand bytes on at once is told to; a pty has no such mode.
+    with contextlib.suppress(OSError, ValueError, NotImplementedError):
+        opened.set_low_latency_mode(True)
+    return PortLine(opened, lock)
+
+
+def _refusal(port: str, error: OSError) -> DeviceError:
+    if error.errno in (errno.EAGAIN, errno.EBUSY):
+        return DeviceBusyError(
+            f"{port}: in use by another program that left no name; `fuser {port}` names it, then close that program"
+        )
+    return ConnectionLostError(_absent(port, error))
+
+
+def _absent(port: str, error: OSError) -> str:
+    if error.errno in (errno.EACCES, errno.EPERM):
+        step = "install the udev rules (udev/README.md) and plug it in again, or ask for access to the port"
+    else:
+        step = "check cable and power, then run `mill devices` to see what is connected"
+    return f"{port}: cannot be opened ({os.strerror(error.errno) if error.errno else error}); {step}"
