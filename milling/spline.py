@@ -1,7 +1,7 @@
 """Kruger's constrained cubic spline, open and closed: between two knots it never leaves their range.
 
-Source: C. J. C. Kruger, "Constrained Cubic Spline Interpolation for Chemical Engineering Applications". The interior slope
-is the harmonic mean of the neighbouring secants, or zero where these disagree in sign; a cubic Hermite spline on
+Source: C. J. C. Kruger, "Constrained Cubic Spline Interpolation for Chemical Engineering Applications". The interior
+slope is the harmonic mean of the neighbouring secants, or zero where these disagree in sign; a cubic Hermite spline on
 those slopes is the whole method. A milling path is closed, so there every knot is an interior one.
 """
 
@@ -52,11 +52,12 @@ def periodic_spline(x: Floats, y: Floats, period: float) -> "CubicHermiteSpline"
     from scipy.interpolate import CubicHermiteSpline
 
     slopes = periodic_slopes(x, y, period)
-    closed = CubicHermiteSpline(
-        np.append(x, x[0] + period), np.concatenate([y, y[:1]]), np.concatenate([slopes, slopes[:1]])
+    return CubicHermiteSpline(
+        np.append(x, x[0] + period),
+        np.concatenate([y, y[:1]]),
+        np.concatenate([slopes, slopes[:1]]),
+        extrapolate="periodic",
     )
-    closed.extrapolate = "periodic"
-    return closed
 
 
 def _harmonic(before: Floats, after: Floats) -> Floats:

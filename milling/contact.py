@@ -1,0 +1,146 @@
+"""Where the bone begins, at each point: felt by the spindle, not believed from the pictures.
+
+The tip goes down in single steps of 10 um. Each next step is permitted by the load of the one before it being that of
+air, so contact overruns by one step. Two steps with load in a row are contact. What the first points teach about
+the surface's error lets the later ones start close above the bone.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from drivers.errors import PlanError, SafetyStop
+from drivers.motion.interface import Vector
+from drivers.spindle.interface import SpindleStatus
+from milling.hands import Hands
+from milling.load import Idle
+
+STEP_MM = 0.01
+FEED_MM_S = 0.3
+NEAR_MM = 0.07
+"""Start above the predicted contact, once the surface's error is known."""
+SIGMAS = 4.0
+TRAVEL_FEED_MM_S = 15.0
+BETWEEN_MM = 0.15
+"""Lift before going to the next point."""
+APPROACH_FEED_MM_S = 2.0
+
+
+@dataclass
+class ContactFinder:
+    """Finds the contact under given places, one after the other round the ring."""
+
+    hands: Hands
+    idle: Idle
+    floor_z_mm: float
+    """No tip height below this is ever asked for."""
+    _torques: list[float] = field(default_factory=list)
+    _error_mm: float | None = None
+
+    def find_all(
+        self,
+        xy_mm: list[tuple[float, float]],
+        start_z_mm: list[float],
+        predicted_z_mm: list[float],
+        told: Callable[[int, float], None],
+    ) -> list[float]:
+        """Heights of the tip at contact, (n,) mm in {R}.
+
+        Args:
+            xy_mm: where.
+            start_z_mm: heights that should be in the air.
+            predicted_z_mm: where contact should be.
+            told: each point's index and height, as it is found.
+
+        Raises:
+            PlanError: no bone down to the floor, or bone above the start.
+        """
+        self.hands.on_torque.append(self._hear)
+        found: list[float] = []
+        try:
+            for index, (x, y) in enumerate(xy_mm):
+                start = start_z_mm[index]
+                if self._error_mm is not None:
+                    start = min(start, predicted_z_mm[index] + self._error_mm + NEAR_MM)
+                clear = max(start, found[-1] if found else start) + BETWEEN_MM
+                height = self._find(index, (x, y), start, clear, start_z_mm[index])
+                self._error_mm = height - predicted_z_mm[index]
+                found.append(height)
+                told(index, height)
+        finally:
+            self.hands.on_torque.remove(self._hear)
+        return found
+
+    def _find(self, index: int, xy: tuple[float, float], start: float, clear: float, highest: float) -> float:
+        x, y = xy
+        position = self.hands.motion.status().position_mm
+        if position[2] < clear:
+            self.hands.go((position[0], position[1], clear), TRAVEL_FEED_MM_S)
+        self.hands.go((x, y, clear), TRAVEL_FEED_MM_S)
+        while True:
+            if not self._loaded((x, y, start), APPROACH_FEED_MM_S):
+                height = self._descend(index, x, y, start)
+                if height is not None:
+                    return height
+            # Bone was met at the very start: this place is higher than thought.
+            if start >= highest:
+                raise PlanError(
+                    f"point {index + 1}: bone at or above z = {start:.3f} mm, where the fitted surface promises air "
+                    f"(safety offset included); calibrate again"
+                )
+            start = min(start + NEAR_MM, highest)
+            self.hands.go((x, y, start + BETWEEN_MM), TRAVEL_FEED_MM_S)
+
+    def _descend(self, index: int, x: float, y: float, start: float) -> float | None:
+        """Step down from the air; None where bone is met in the first step already."""
+        z, touched_at = start, None
+        while True:
+            z -= STEP_MM
+            if z < self.floor_z_mm:
+                raise PlanError(
+                    f"point {index + 1}: no bone felt down to z = {self.floor_z_mm:.3f} mm, the lowest that the "
+                    "calibrated surface and the thickness prior permit; check that the drill turns and the surface is bone"
+                )
+            if not self._loaded((x, y, z), FEED_MM_S):
+                touched_at = None
+            elif touched_at is None:
+                if z > start - 1.5 * STEP_MM:
+                    return None
+                touched_at = z
+            else:
+                # The first step with load began in the air: contact lies within it.
+                return touched_at + STEP_MM / 2
+
+    def _loaded(self, target: Vector, feed_mm_s: float) -> bool:
+        """Go there, and tell whether the drill felt anything on the way."""
+        self._torques.clear()
+        self.hands.go(target, feed_mm_s)
+        return bool(self._torques) and self.idle.above(self._torques, SIGMAS)
+
+    def _hear(self, status: SpindleStatus) -> None:
+        self._torques.append(status.torque_fraction)
+
+
+def measure_idle(hands: Hands, duration_s: float = 0.6) -> Idle:
+    """Torque of the drill turning in the air.
+
+    Raises:
+        SafetyStop: the drive tells too little, or its torque wanders too much to feel bone by.
+    """
+    torques: list[float] = []
+
+    def hear(status: SpindleStatus) -> None:
+        torques.append(status.torque_fraction)
+
+    hands.on_torque.append(hear)
+    try:
+        hands.watch(duration_s)
+    finally:
+        hands.on_torque.remove(hear)
+    if len(torques) < 10:
+        raise SafetyStop(f"the spindle reported its torque {len(torques)} times in {duration_s:g} s, 10 are needed")
+    idle = Idle.of(torques)
+    if idle.sigma > 0.1:
+        raise SafetyStop(
+            f"the idle torque varies by {idle.sigma:.3f} of rated torque, allowed 0.1: bone cannot be felt"
+        )
+    return idle

@@ -1,0 +1,193 @@
+"""Motion and spindle under one watch: every move gives a sign of life, looks at the drill, and can be stopped."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from drivers.clock import Clock
+from drivers.errors import DeviceError, DeviceTimeoutError, SafetyStop
+from drivers.motion.interface import MotionController, MotionState, MotionStatus, Vector
+from drivers.recorder import Recorder
+from drivers.spindle.interface import Spindle, SpindleStatus
+from milling.permission import Latch, Reaction
+
+READ_BACK_MM = 0.02
+LIFT_MM = 0.1
+"""Up from the bone after a hold: dwelling on the membrane tears it."""
+RETRACT_MM = 1.5
+RETRACT_FEED_MM_S = 15.0
+_POLL_S = 0.02
+_BEAT_S = 0.01
+_SPEED_SHARE = 0.15
+_STANDSTILL_RPM = 100.0
+
+
+class Interrupted(Exception):  # noqa: N818  (a person's wish, not an error)
+    """A person asked for a stop."""
+
+
+@dataclass
+class Hands:
+    """The two devices that can do harm, and the request to stop that is looked at in every wait."""
+
+    motion: MotionController
+    spindle: Spindle
+    clock: Clock
+    recorder: Recorder
+    stop_requested: Callable[[], bool]
+    speed_rpm: float = 0.0
+    """The speed the drill should have; 0 while it should stand."""
+    on_torque: list[Callable[[SpindleStatus], None]] = field(default_factory=list)
+    """Told each new report of the drill."""
+    _reported_s: float = float("-inf")
+
+    def beat(self) -> SpindleStatus:
+        """A sign of life to the drive, and its report, judged.
+
+        Raises:
+            Interrupted: a stop was asked for.
+            DeviceError: the drive faults, stalls, runs away, or starts by itself.
+        """
+        if self.stop_requested():
+            raise Interrupted("stop requested")
+        status = self.spindle.status()
+        if status.fault is not None:
+            raise DeviceError(f"spindle: {status.fault}")
+        if abs(abs(status.speed_rpm) - self.speed_rpm) > max(_SPEED_SHARE * self.speed_rpm, _STANDSTILL_RPM):
+            raise DeviceError(
+                f"spindle: {status.speed_rpm:.0f} rpm where {self.speed_rpm:.0f} rpm are commanded, allowed "
+                f"+-{100 * _SPEED_SHARE:.0f} %"
+            )
+        if status.time_s > self._reported_s:
+            self._reported_s = status.time_s
+            for told in self.on_torque:
+                told(status)
+        return status
+
+    def go(self, target_mm: Vector, feed_mm_s: float) -> MotionStatus:
+        """One straight move, watched to its end and read back.
+
+        Raises:
+            SafetyStop: the controller stands somewhere else than it was sent to.
+            DeviceTimeoutError: it does not arrive.
+            Interrupted, DeviceError: as ``beat``.
+        """
+        start = self.motion.status().position_mm
+        deadline_s = self.clock.now_s() + 3.0 + 3.0 * distance_mm(start, target_mm) / feed_mm_s
+        self.motion.start_move(target_mm, feed_mm_per_s=feed_mm_s)
+        while True:
+            self.beat()
+            status = self.motion.status()
+            if status.state is MotionState.IDLE and status.queued_s <= 0:
+                break
+            if status.state not in (MotionState.IDLE, MotionState.MOVING):
+                raise DeviceError(f"motion: {status.state} ({status.alarm or 'no alarm'}) on the way to {target_mm} mm")
+            if self.clock.now_s() > deadline_s:
+                raise DeviceTimeoutError(f"motion: not at {target_mm} mm in time, now at {status.position_mm} mm")
+            self.clock.sleep_s(_BEAT_S)
+        if (miss := distance_mm(status.position_mm, target_mm)) > READ_BACK_MM:
+            raise SafetyStop(
+                f"the controller stands at {status.position_mm} mm, {miss:.3f} mm from where it was sent "
+                f"({target_mm} mm), allowed {READ_BACK_MM} mm"
+            )
+        return status
+
+    def watch(self, duration_s: float) -> None:
+        """Let time pass with signs of life."""
+        until_s = self.clock.now_s() + duration_s
+        while self.clock.now_s() < until_s:
+            self.beat()
+            self.clock.sleep_s(_BEAT_S)
+
+    def start_spindle(self, speed_rpm: float, timeout_s: float = 8.0) -> None:
+        """Run up and wait; the drill must be in the air.
+
+        Raises:
+            DeviceTimeoutError: not at speed in time.
+        """
+        self.spindle.start(speed_rpm)
+        deadline_s = self.clock.now_s() + timeout_s
+        while True:
+            if self.stop_requested():
+                raise Interrupted("stop requested")
+            status = self.spindle.status()
+            if status.fault is not None:
+                raise DeviceError(f"spindle: {status.fault}")
+            if abs(abs(status.speed_rpm) - speed_rpm) < 0.02 * speed_rpm:
+                break
+            if self.clock.now_s() > deadline_s:
+                raise DeviceTimeoutError(
+                    f"spindle: {status.speed_rpm:.0f} rpm after {timeout_s:g} s, {speed_rpm:.0f} rpm commanded"
+                )
+            self.clock.sleep_s(_POLL_S)
+        self.speed_rpm = speed_rpm
+        self.recorder.event("spindle", state="at speed", speed_rpm=status.speed_rpm)
+
+    def lift(self, height_mm: float) -> None:
+        """Flush what is queued, then straight up.
+
+        Raises:
+            DeviceError: the controller does not answer, or its position is lost.
+        """
+        position = self.motion.flush(timeout_s=0.5).position_mm
+        top = min(position[2] + height_mm, self.motion.travel.high_mm[2])
+        self.motion.start_move((position[0], position[1], top), feed_mm_per_s=RETRACT_FEED_MM_S)
+        deadline_s = self.clock.now_s() + 0.5
+        while True:
+            self.spindle.status()
+            status = self.motion.status()
+            if status.state is MotionState.IDLE and status.queued_s <= 0:
+                break
+            if self.clock.now_s() > deadline_s:
+                raise DeviceTimeoutError(f"motion: lifting is not confirmed, now at {status.position_mm} mm")
+            self.clock.sleep_s(_BEAT_S)
+        if abs(status.position_mm[2] - top) > READ_BACK_MM:
+            raise DeviceError(f"motion: lifted to z = {status.position_mm[2]:.3f} mm, {top:.3f} mm commanded")
+
+    def make_safe(self, latch: Latch) -> Latch:
+        """React to what is latched. Whatever fails on the way, both stops are tried; never raises a device's error."""
+        self.recorder.event("latched", reaction=latch.reaction.name, reason=latch.reason)
+        if latch.reaction is not Reaction.KILL:
+            try:
+                if latch.reaction is Reaction.HOLD:
+                    self.lift(LIFT_MM)
+                self.lift(RETRACT_MM)
+                self.recorder.event("state", state="lifted")
+                self.stop_spindle()
+            except (DeviceError, OSError) as error:
+                latch.trip(Reaction.KILL, str(error))
+                self.recorder.event("error", where="retract", reason=str(error))
+            else:
+                return latch
+        self.kill()
+        return latch
+
+    def stop_spindle(self, timeout_s: float = 3.0) -> None:
+        """Stop the drill and see it stand.
+
+        Raises:
+            DeviceError: it does not stand in time, or the drive is silent.
+        """
+        self.speed_rpm = 0.0
+        self.spindle.stop()
+        self.spindle.wait_until_at_speed(timeout_s)
+        self.recorder.event("spindle", state="off, confirmed")
+
+    def kill(self) -> None:
+        """Spindle off and controller reset together; each is tried whatever the other does."""
+        self.speed_rpm = 0.0
+        for name, stop in (("spindle", self.spindle.stop), ("motion", self.motion.halt)):
+            try:
+                stop()
+            except (DeviceError, OSError) as error:
+                self.recorder.event("error", where=f"stop {name}", reason=str(error))
+        try:
+            self.spindle.wait_until_at_speed(2.0)
+        except (DeviceError, OSError) as error:
+            self.recorder.event("spindle", state="off, NOT confirmed", reason=str(error))
+        else:
+            self.recorder.event("spindle", state="off, confirmed")
+
+
+def distance_mm(a: Vector, b: Vector) -> float:
+    """Between two points."""
+    return float(sum((p - q) ** 2 for p, q in zip(a, b, strict=True)) ** 0.5)

@@ -1,0 +1,300 @@
+"""Laps of short segments: XY at constant feed, z only as deep as permitted, the queue never longer than three.
+
+The path runs through the points; every stretch between two of them is cut into segments of 20-40 ms. When the first
+segment towards a point is written, its permission is asked for; each later one asks again, so a permission that
+ends takes the rest of the way back to the depth already cut. The tip is followed along what was written: a tip off
+that line by more than 20 um stops the run.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from itertools import pairwise
+from math import ceil, floor
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.errors import DeviceError, SafetyStop
+from drivers.motion.interface import MotionState, MotionStatus, Vector
+from drivers.spindle.interface import SpindleStatus
+from milling.eyes import Watch, Witness
+from milling.hands import LIFT_MM, READ_BACK_MM, Hands
+from milling.job import Job
+from milling.load import LoadMeter
+from milling.permission import Grant
+from milling.planner import Policy
+from milling.spline import periodic_spline
+from milling.trajectory import Trajectory
+
+Floats = npt.NDArray[np.float64]
+
+QUEUED = 3
+"""Segments written ahead of the tip."""
+POLL_S = 0.04
+GLANCE_S = 0.05
+PAUSE_AFTER_S = 0.15
+"""Frames older than this, and the drill leaves the bone."""
+GIVE_UP_AFTER_S = 2.0
+ENTER_FEED_MM_S = 1.0
+IDLE_LAPS = 2
+_TICK_S = 0.004
+
+
+class Permits(Witness, Protocol):
+    """Who grants depth; ``milling.permission.Ledger``, or the published systems' lack of one."""
+
+    @property
+    def open_points(self) -> list[int]:
+        """Points that may still get a bite."""
+
+    def ask(self, index: int, *, bite_mm: float, now_s: float, frame_at_s: float) -> Grant:
+        """How deep this visit may go."""
+
+    def passed(self, index: int, *, depth_mm: float, now_s: float) -> None:
+        """The tip has left the point."""
+
+    def void(self, index: int) -> None:
+        """The visit ended before the tip reached the point."""
+
+    def felt(self, index: int, *, ratio: float, above_idle: bool) -> None:
+        """The load of a pass that took a bite."""
+
+    def cut_mm(self, index: int) -> float:
+        """The depth reached and confirmed."""
+
+    def completion(self, index: int) -> float:
+        """The newest completion seen."""
+
+
+class Laps:
+    """Mills until no point may get a bite any more."""
+
+    def __init__(
+        self,
+        hands: Hands,
+        watch: Watch,
+        permits: Permits,
+        meter: LoadMeter | None,
+        policy: Policy,
+        trajectory: Trajectory,
+        top_z_mm: Floats,
+        job: Job,
+        told: Callable[[], None],
+    ) -> None:
+        """``top_z_mm`` (n,) is the tip height at depth zero: contact, or the start where there is no contact."""
+        self._hands, self._watch, self._permits, self._meter = hands, watch, permits, meter
+        self._policy, self._path, self._job, self._told = policy, trajectory.path, job, told
+        self._knots, self._length = trajectory.knots_mm, trajectory.length_mm
+        self.top_z_mm = top_z_mm
+        self._n = trajectory.n
+        pitch = self._length / self._n
+        self._per_point = max(1, round(pitch / (job.feed_mm_s * job.segment_s)))
+        self._segment_s = pitch / self._per_point / job.feed_mm_s
+        self._depth = np.zeros(self._n)
+        """What was commanded at each point's last or current visit."""
+        self._bite = np.zeros(self._n)
+        self._next = 0
+        """Number of the next vertex to write, counted over all laps."""
+        self._left = 0
+        """Number of the next point to leave."""
+        self._vertices: deque[tuple[int, Vector]] = deque(maxlen=64)
+        self._at = 0.0
+        self._at_s = 0.0
+        self._tip: Vector | None = None
+        self._reports: deque[SpindleStatus] = deque(maxlen=512)
+        self._bitten = 0
+
+    @property
+    def laps(self) -> float:
+        """Laps so far."""
+        return self._at / (self._n * self._per_point)
+
+    @property
+    def torque(self) -> float:
+        """The newest report."""
+        return self._reports[-1].torque_fraction if self._reports else 0.0
+
+    def mill(self) -> bool:
+        """Run laps; whether they ended because no point is open (and not because none gets a bite).
+
+        Raises:
+            Interrupted, SafetyStop, DeviceError: the tip is where it was.
+        """
+        self._hands.on_torque.append(self._reports.append)
+        try:
+            self._enter()
+            return self._run()
+        finally:
+            self._hands.on_torque.remove(self._reports.append)
+
+    def _run(self) -> bool:
+        clock = self._hands.clock
+        polled_s = glanced_s = float("-inf")
+        told_lap = floor(self.laps)
+        while self._permits.open_points:
+            self._hands.beat()
+            if clock.now_s() - polled_s >= POLL_S:
+                polled_s = clock.now_s()
+                self._follow(self._hands.motion.status())
+            if clock.now_s() - glanced_s >= GLANCE_S:
+                glanced_s = clock.now_s()
+                self._watch.glance(self._tip)
+            if clock.now_s() - self._watch.frame_at_s > PAUSE_AFTER_S:
+                self._pause()
+                polled_s = glanced_s = float("-inf")
+                continue
+            wrote = False
+            while self._next - self._reached() < QUEUED:
+                self._write()
+                wrote = True
+            if self._next - self._bitten > IDLE_LAPS * self._n * self._per_point:
+                return False
+            if floor(self.laps) > told_lap:
+                told_lap = floor(self.laps)
+                self._told()
+                if told_lap >= self._job.max_laps:
+                    raise SafetyStop(f"{told_lap} laps and still open points, allowed {self._job.max_laps} (max_laps)")
+            if not wrote:
+                clock.sleep_s(_TICK_S)
+        return True
+
+    # Writing ahead.
+
+    def _write(self) -> None:
+        number = self._next
+        target = ceil(number / self._per_point)
+        index = target % self._n
+        completion = self._permits.completion(index)
+        grant = self._permits.ask(
+            index,
+            bite_mm=self._policy.bite_mm(completion),
+            now_s=self._hands.clock.now_s(),
+            frame_at_s=self._watch.frame_at_s,
+        )
+        if grant.deeper:
+            self._bitten = number
+        self._depth[index] = grant.depth_mm
+        self._bite[index] = grant.depth_mm - self._permits.cut_mm(index)
+        vertex = self._vertex(number)
+        self._hands.motion.start_move(vertex, feed_mm_per_s=self._job.feed_mm_s)
+        self._vertices.append((number, vertex))
+        self._next += 1
+
+    def _vertex(self, number: int) -> Vector:
+        before, part = divmod(number % (self._n * self._per_point), self._per_point)
+        start = self._knots[before]
+        end = self._knots[before + 1] if before + 1 < self._n else self._length
+        along = start + (end - start) * part / self._per_point
+        x, y = self._path(along)
+        z = periodic_spline(self._knots, self.top_z_mm - self._depth, self._length)(along)
+        return (round(float(x), 4), round(float(y), 4), round(float(z), 4))
+
+    def _reached(self) -> float:
+        """Where the tip should be by now, in vertices; it never outruns what was written."""
+        gone = (self._hands.clock.now_s() - self._at_s) / self._segment_s
+        return min(self._at + min(gone, POLL_S / self._segment_s), float(self._next - 1))
+
+    # Following the tip.
+
+    def _follow(self, status: MotionStatus) -> None:
+        if status.state not in (MotionState.IDLE, MotionState.MOVING):
+            raise DeviceError(f"motion: {status.state} ({status.alarm or 'no alarm'}) while milling")
+        at, miss = self._nearest(status.position_mm)
+        if miss > READ_BACK_MM:
+            raise SafetyStop(
+                f"the controller stands at {status.position_mm} mm, {miss:.3f} mm off the path it was given, "
+                f"allowed {READ_BACK_MM} mm"
+            )
+        at = max(at, self._at)
+        self._feel(at, status.time_s)
+        self._at, self._at_s, self._tip = at, status.time_s, status.position_mm
+        while self._left + 0.5 < at / self._per_point:
+            self._leave(self._left % self._n, status.time_s)
+            self._left += 1
+
+    def _nearest(self, position: Vector) -> tuple[float, float]:
+        """The place on the written line nearest to ``position``, from where the tip was last, and how far it is off."""
+        best = (self._at, float("inf"))
+        p = np.asarray(position)
+        vertices = [(number, np.asarray(v)) for number, v in self._vertices if number >= floor(self._at) - 1]
+        for (number, a), (_, b) in pairwise(vertices):
+            along = b - a
+            share = float(np.clip((p - a) @ along / max(float(along @ along), 1e-12), 0.0, 1.0))
+            miss = float(np.linalg.norm(p - a - share * along))
+            if miss < best[1] - 1e-9:
+                best = (number + share, miss)
+        if len(vertices) == 1:
+            best = (float(vertices[0][0]), float(np.linalg.norm(p - vertices[0][1])))
+        return best
+
+    def _feel(self, at: float, time_s: float) -> None:
+        """Give each torque report since the last look to the point that the ball was nearest to."""
+        if self._meter is None:
+            return
+        span_s = time_s - self._at_s
+        while self._reports and self._reports[0].time_s <= time_s:
+            report = self._reports.popleft()
+            if span_s <= 0 or report.time_s <= self._at_s:
+                continue
+            where = (self._at + (at - self._at) * (report.time_s - self._at_s) / span_s) / self._per_point
+            before = floor(where)
+            share = where - before
+            i, j = before % self._n, (before + 1) % self._n
+            self._meter.report(
+                j if share >= 0.5 else i,
+                report.torque_fraction,
+                bite_mm=float((1 - share) * self._bite[i] + share * self._bite[j]),
+                depth_mm=float((1 - share) * self._depth[i] + share * self._depth[j]),
+            )
+
+    def _leave(self, index: int, time_s: float) -> None:
+        bite, depth = float(self._bite[index]), float(self._depth[index])
+        self._permits.passed(index, depth_mm=depth, now_s=time_s)
+        if self._meter is None:
+            return
+        feeling = self._meter.leave(index, bite_mm=bite, depth_mm=depth)
+        if feeling is not None:
+            self._permits.felt(index, ratio=feeling.ratio, above_idle=feeling.above_idle)
+
+    # Leaving and entering the bone.
+
+    def _pause(self) -> None:
+        """The eyes are late: out of the bone, wait for them, and go on where the tip was."""
+        self._hands.recorder.event("state", state="paused", reason="no fresh frame")
+        self._follow(self._hands.motion.flush())
+        self._hands.lift(LIFT_MM)
+        waited_s = self._hands.clock.now_s()
+        while not self._watch.glance(None):
+            self._hands.beat()
+            if self._hands.clock.now_s() - waited_s > GIVE_UP_AFTER_S:
+                raise SafetyStop(f"no fresh frame for {GIVE_UP_AFTER_S:g} s; check the cameras")
+            self._hands.clock.sleep_s(_TICK_S)
+        self._enter()
+
+    def _enter(self) -> None:
+        """Into the kerf at the depth already cut, at the vertex after the last one reached."""
+        self._abandon()
+        number = ceil(self._at)
+        self._next = self._bitten = number
+        self._depth = np.array([self._permits.cut_mm(index) for index in range(self._n)])
+        self._bite = np.zeros(self._n)
+        x, y, z = self._vertex(number)
+        top = float(np.max(self.top_z_mm)) + LIFT_MM
+        position = self._hands.motion.status().position_mm
+        if position[2] < top:
+            self._hands.go((position[0], position[1], top), self._job.feed_mm_s)
+        self._hands.go((x, y, max(top, position[2])), 2 * self._job.feed_mm_s)
+        status = self._hands.go((x, y, z), ENTER_FEED_MM_S)
+        self._vertices.clear()
+        self._vertices.append((number, (x, y, z)))
+        self._next = number + 1
+        self._at, self._at_s, self._tip = float(number), status.time_s, status.position_mm
+        self._left = ceil(number / self._per_point)
+        self._reports.clear()
+        self._hands.recorder.event("state", state="milling", lap=round(self.laps, 3))
+
+    def _abandon(self) -> None:
+        """Points whose visit the tip did not finish keep the depth they had."""
+        for point in range(self._left, ceil(self._next / self._per_point) + 1):
+            self._permits.void(point % self._n)

@@ -1,0 +1,305 @@
+"""Who may go deeper: a ledger of evidence per trajectory point, and one latch for the machine.
+
+The default is inverted: no evidence, no descent. Each permission is one bite at one visit of one point, measured from
+that point's own contact, and it needs all of
+
+- a frame at most ``frame_age_s`` old (the eyes are alive),
+- a picture of this very point taken after its last pass, whose upper bound of completion is below the threshold,
+- a spindle load above idle at its last biting pass (its contact, before the first),
+- depth within the thickness prior and near that of finished neighbours.
+
+One cue that says "through" stops the point. Past the low end of the thickness prior the load must be whole: above idle
+is not enough there. What is stopped goes on only after a look with the drill lifted, and then only by a bounded amount.
+
+Standard library only, no clock, no device: every rule here can be read and tested by itself.
+"""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+
+from drivers.errors import SafetyStop
+
+_ROUNDING_MM = 1e-6
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the ledger enforces; lengths in mm, load ratios against the bone cut so far.
+
+    Attributes:
+        bite_mm: the deepest bite of one visit.
+        late_bite_mm: the same, once less than ``late_margin_mm`` of bone may remain.
+        thickness_low_mm, thickness_high_mm: the thickness prior.
+        threshold: upper bound of completion that means "through".
+        frame_age_s: the oldest newest frame.
+        droop: a load below this share of what bone takes means "through".
+        whole: past the low end of the prior the load must reach this share.
+        neighbour_mm: how much deeper than a finished neighbour a point may go.
+        reopen_mm: what one look with the drill lifted may give back to a stopped point.
+        looks: how often a point may be re-opened.
+    """
+
+    bite_mm: float = 0.05
+    late_bite_mm: float = 0.015
+    late_margin_mm: float = 0.1
+    thickness_low_mm: float = 0.25
+    thickness_high_mm: float = 0.6
+    threshold: float = 0.97
+    frame_age_s: float = 0.1
+    droop: float = 0.75
+    whole: float = 0.8
+    neighbour_mm: float = 0.08
+    reopen_mm: float = 0.03
+    looks: int = 2
+
+
+class PointState(StrEnum):
+    """Where a point stands."""
+
+    OPEN = "open"
+    STOPPED = "stopped"
+    """One cue says "through", or a limit was met: no bite until a look with the drill lifted."""
+    DONE = "done"
+    """Latched: it never opens again."""
+
+
+@dataclass(frozen=True)
+class Grant:
+    """The depth that one visit may reach, below contact, and why it is no deeper."""
+
+    depth_mm: float
+    deeper: bool
+    reason: str
+
+
+@dataclass
+class Point:
+    """The evidence about one point. Depths are below its own contact."""
+
+    contacted: bool = False
+    cut_mm: float = 0.0
+    granted_mm: float | None = None
+    last_pass_s: float = float("-inf")
+    seen_at_s: float = float("-inf")
+    upper: float | None = None
+    completion: float = 0.0
+    load_ratio: float | None = None
+    load_above_idle: bool = False
+    frames_through: int = 0
+    picture_through: bool = False
+    load_through: bool = False
+    state: PointState = PointState.OPEN
+    why: str = "no contact yet"
+    looks: int = 0
+    allowance_mm: float | None = None
+    """While re-opened: the depth that the last look allows."""
+    verdicts: Counter[str] = field(default_factory=Counter)
+
+
+class Ledger:
+    """The evidence about every point of a closed ring."""
+
+    def __init__(self, n_points: int, limits: Limits) -> None:
+        self.limits = limits
+        self.points = [Point() for _ in range(n_points)]
+
+    def touched(self, index: int) -> None:
+        """The point's contact is found: depth counts from here, and the touch is the first load above idle."""
+        point = self.points[index]
+        point.contacted = True
+        point.load_above_idle = True
+        point.why = "contact found"
+
+    def seen(self, index: int, *, completion: float, upper: float, exposed_at_s: float) -> None:
+        """A frame shows the point. Pictures older than what is known, or not of this world, are ignored."""
+        point = self.points[index]
+        if not (0.0 <= completion <= 1.0 and completion <= upper <= 1.0) or exposed_at_s <= point.seen_at_s:
+            return
+        point.seen_at_s = exposed_at_s
+        point.upper = upper
+        point.completion = max(point.completion, completion) if point.picture_through else completion
+        point.frames_through = point.frames_through + 1 if upper >= self.limits.threshold else 0
+        if point.frames_through >= 2 and not point.picture_through:
+            point.picture_through = True
+            self._stop(point, "the picture says through")
+
+    def felt(self, index: int, *, ratio: float, above_idle: bool) -> None:
+        """The spindle load of a pass that took a bite here; ``ratio`` is against what bone takes."""
+        point = self.points[index]
+        point.load_ratio = ratio
+        point.load_above_idle = above_idle
+        if not above_idle or ratio < self.limits.droop:
+            point.load_through = True
+            self._stop(point, "the load says through")
+
+    def ask(self, index: int, *, bite_mm: float, now_s: float, frame_at_s: float) -> Grant:
+        """How deep the tip may go at this visit. Asking again within one visit never adds to it."""
+        point = self.points[index]
+        grant = self._judge(index, bite_mm, now_s, frame_at_s)
+        if grant.deeper:
+            if point.granted_mm is None:
+                point.verdicts["bite"] += 1
+            point.granted_mm = grant.depth_mm
+        elif point.granted_mm is None:
+            point.verdicts[grant.reason] += 1
+        return grant
+
+    def passed(self, index: int, *, depth_mm: float, now_s: float) -> None:
+        """The tip has left the point, read back, having reached ``depth_mm``; the permission ends.
+
+        Raises:
+            SafetyStop: deeper than was permitted.
+        """
+        point = self.points[index]
+        permitted = point.cut_mm if point.granted_mm is None else point.granted_mm
+        point.granted_mm = None
+        point.last_pass_s = now_s
+        if depth_mm > permitted + _ROUNDING_MM:
+            raise SafetyStop(
+                f"point {index + 1} was cut to {depth_mm:.4f} mm below contact, permitted were {permitted:.4f} mm"
+            )
+        point.cut_mm = max(point.cut_mm, depth_mm)
+
+    def look(self, index: int) -> PointState:
+        """Judge a stopped point by what the lifted drill shows: finish it, or re-open it by a bounded amount.
+
+        Call it after ``seen`` with frames taken while nothing hid the point.
+        """
+        point, limits = self.points[index], self.limits
+        if point.state is PointState.DONE:
+            return point.state
+        through = point.upper is not None and point.upper >= limits.threshold
+        if through and point.load_through:
+            self._finish(point, "picture and load agree: through")
+        elif point.load_through and point.looks > 0:
+            self._finish(point, "the load said through twice")
+        elif point.looks >= limits.looks:
+            if point.picture_through or point.load_through:
+                self._finish(point, "one cue says through after every look")
+            else:
+                self._stop(point, "no cue says through after every look")
+        elif point.state is PointState.STOPPED:
+            point.looks += 1
+            ceiling = limits.thickness_high_mm
+            point.allowance_mm = min(point.cut_mm + limits.reopen_mm, ceiling)
+            point.picture_through = point.load_through = False
+            point.frames_through = 0
+            # The load that stopped the point is what the next bite has to prove wrong.
+            point.load_above_idle, point.load_ratio = True, None
+            point.state, point.why = PointState.OPEN, "re-opened after a look"
+        return point.state
+
+    def void(self, index: int) -> None:
+        """The visit ended before the tip reached the point: its permission is gone, its depth what it was."""
+        self.points[index].granted_mm = None
+
+    def cut_mm(self, index: int) -> float:
+        """Depth below contact that the tip reached, read back."""
+        return self.points[index].cut_mm
+
+    def completion(self, index: int) -> float:
+        """The newest completion seen."""
+        return self.points[index].completion
+
+    @property
+    def open_points(self) -> list[int]:
+        """Indices that may still get a bite."""
+        return [index for index, point in enumerate(self.points) if point.state is PointState.OPEN]
+
+    @property
+    def done(self) -> bool:
+        """Whether every point is latched."""
+        return all(point.state is PointState.DONE for point in self.points)
+
+    def _judge(self, index: int, bite_mm: float, now_s: float, frame_at_s: float) -> Grant:
+        point, limits = self.points[index], self.limits
+
+        def no(reason: str) -> Grant:
+            return Grant(point.cut_mm, False, reason)
+
+        if point.state is not PointState.OPEN:
+            return no(point.why)
+        if not point.contacted:
+            return no("no contact yet")
+        if not bite_mm > 0:
+            return no("no bite asked")
+        if not 0.0 <= now_s - frame_at_s <= limits.frame_age_s:
+            return no("no fresh frame")
+        if point.upper is None or point.seen_at_s <= point.last_pass_s:
+            return no("not seen since its last pass")
+        reopened = point.allowance_mm is not None
+        if point.upper >= limits.threshold and not reopened:
+            return no("the picture may say through")
+        if not point.load_above_idle:
+            return no("no load at the last pass")
+        depth = point.cut_mm + min(bite_mm, self._bite_limit(point))
+        if point.allowance_mm is not None and depth > point.allowance_mm + _ROUNDING_MM:
+            return self._stop(point, "the allowance of the last look is used up")
+        if depth > limits.thickness_high_mm:
+            return self._stop(point, "the high end of the thickness prior is reached")
+        if depth > limits.thickness_low_mm and point.load_ratio is not None and point.load_ratio < limits.whole:
+            return self._stop(point, "past the low end of the thickness prior one cue is not enough")
+        neighbour = self._finished_neighbour_mm(index)
+        if not reopened and neighbour is not None and depth > neighbour + limits.neighbour_mm:
+            return self._stop(point, "deeper than its finished neighbours")
+        return Grant(depth, True, "bone")
+
+    def _bite_limit(self, point: Point) -> float:
+        limits = self.limits
+        late = point.cut_mm + limits.bite_mm > limits.thickness_low_mm - limits.late_margin_mm
+        if point.upper is not None:
+            # The picture's share of what bone may remain, taken at the thinnest bone of the prior.
+            late = late or (1.0 - point.upper) * limits.thickness_low_mm < limits.late_margin_mm
+        return limits.late_bite_mm if late or point.allowance_mm is not None else limits.bite_mm
+
+    def _finished_neighbour_mm(self, index: int) -> float | None:
+        n = len(self.points)
+        near = [self.points[(index + step) % n] for step in (-2, -1, 1, 2)]
+        depths = [point.cut_mm for point in near if point.state is PointState.DONE or point.load_through]
+        return max(depths) if depths else None
+
+    @staticmethod
+    def _stop(point: Point, why: str) -> Grant:
+        if point.state is not PointState.DONE:
+            point.state, point.why = PointState.STOPPED, why
+        return Grant(point.cut_mm, False, why)
+
+    @staticmethod
+    def _finish(point: Point, why: str) -> None:
+        point.state, point.why = PointState.DONE, why
+
+
+class Reaction(IntEnum):
+    """What the machine does about a failure; a later, harder one never softens an earlier one."""
+
+    NONE = 0
+    HOLD = 1
+    """Feed hold, then 50-200 um up: dwelling on the membrane tears it."""
+    RETRACT = 2
+    """At least 1 mm up, confirmed, then the spindle off, confirmed."""
+    KILL = 3
+    """Spindle off and controller reset together; the position is lost."""
+
+
+@dataclass
+class Latch:
+    """The first failure, kept; what comes later may only make the reaction harder."""
+
+    reaction: Reaction = Reaction.NONE
+    reason: str = ""
+
+    def trip(self, reaction: Reaction, reason: str) -> None:
+        """Latch a failure."""
+        if not self.reason:
+            self.reason = reason
+        self.reaction = max(self.reaction, reaction)
+
+
+def reaction_to(error: BaseException) -> Reaction:
+    """The first reaction to an error or to a person's interrupt.
+
+    Retract needs a trusted position and a controller that answers. Only the controller knows, so a retract that
+    it refuses becomes a kill.
+    """
+    return Reaction.HOLD if isinstance(error, SafetyStop) else Reaction.RETRACT
