@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from rich.table import Table
 
 from cli.options import json_option
 
+LOG_STEPS = 250
+"""Where nobody watches a bar, a line is printed this often."""
 TASKS = ("tip", "landmarks", "completion")
 
 task_argument = click.argument("task", type=click.Choice(TASKS))
@@ -49,19 +52,14 @@ def train(task: str, data: Path | None, recipe: str, seed: int, out: Path) -> No
     console = Console(stderr=True)
     with _progress(console) as progress:
         for split in SPLITS:
-            bar = progress.add_task(f"{split} pictures", total=None)
-            ensure(
-                task,
-                split,
-                folder,
-                seed=seed,
-                progress=lambda n, of, bar=bar: progress.update(bar, completed=n, total=of),
-            )
+            ensure(task, split, folder, seed=seed, progress=_counter(progress, f"{split} pictures"))
         bar = progress.add_task("training", total=settings.steps)
         checkpoint = out.with_name(out.name + ".checkpoint")
 
         def step(done: int, steps: int, loss: float) -> None:
             progress.update(bar, completed=done, total=steps, description=f"training, loss {loss:.3f}")
+            if not console.is_terminal and done % LOG_STEPS == 0:
+                console.print(f"step {done} of {steps}, loss {loss:.3f}")
 
         network = fit(learned, load_data(folder, "train"), settings, seed=seed, checkpoint=checkpoint, progress=step)
     about = {"task": task, "recipe": recipe, "seed": seed, "steps": settings.steps, "version": version("micromill")}
@@ -108,15 +106,8 @@ def evaluate(
         folder = data or Path(scratch)
         if data is None:
             with _progress(console) as progress:
-                bar = progress.add_task("pictures", total=None)
-                ensure(
-                    task,
-                    "test",
-                    folder,
-                    seed=seed,
-                    specimens=specimens,
-                    progress=lambda n, of: progress.update(bar, completed=n, total=of),
-                )
+                counter = _counter(progress, "pictures")
+                ensure(task, "test", folder, seed=seed, specimens=specimens, progress=counter)
         figures = learned.judge(network, load_data(folder, "test"))
     console.print(_table(f"{network.path.name}, on held-out specimens and rigs", figures))
     if json_file:
@@ -145,6 +136,16 @@ def _progress(console: Console) -> Progress:
         TimeRemainingColumn(),
         console=console,
     )
+
+
+def _counter(progress: Progress, what: str) -> Callable[[int, int], None]:
+    """A new bar, as a function of how much is done and of how much."""
+    bar = progress.add_task(what, total=None)
+
+    def count(done: int, total: int) -> None:
+        progress.update(bar, completed=done, total=total)
+
+    return count
 
 
 def _table(title: str, figures: dict[str, float]) -> Table:

@@ -38,7 +38,7 @@ class CompletionTask:
     """
 
     name = "completion"
-    recipes: Mapping[str, Recipe] = {"default": Recipe(steps=4000, batch=12, learning_rate=2e-3)}
+    recipes: Mapping[str, Recipe] = {"default": Recipe(steps=3000, batch=16, learning_rate=2e-3)}
 
     def network(self) -> nn.Module:
         """A fresh network."""
@@ -96,7 +96,7 @@ class CompletionTask:
     def calibrate(self, network: Network, data: Data) -> dict[str, float]:
         """``upper_margin``: what must be added to the quantile head so that held-out truth stays below (conformal)."""
         read = self._read(network, data)
-        seen = ~read["hidden"]
+        seen = ~read["hidden"].astype(bool)
         short = np.where(read["through"] >= 0.5, -1.0, read["truth"] - read["upper"])[seen]
         # Truth of 1 is bounded by 1 whatever is added, so a bound may fall short there only by missing the hole.
         return {"upper_margin": float(np.quantile(short, CAUTION))}
@@ -104,7 +104,7 @@ class CompletionTask:
     def judge(self, network: Network, data: Data) -> dict[str, float]:
         """Error, coverage of the bound, its tightness, penetration, visibility and the kerf's box."""
         read = self._read(network, data)
-        seen = ~read["hidden"]
+        seen = ~read["hidden"].astype(bool)
         margin = network.constants.get("upper_margin", 0.0)
         truth, estimate = read["truth"][seen], read["completion"][seen]
         through = read["through"][seen] >= 0.5
@@ -123,7 +123,7 @@ class CompletionTask:
             "rings": float(len(data["crops"])),
         }
 
-    def _read(self, network: Network, data: Data) -> dict[str, Floats]:
+    def _read(self, network: Network, data: Data) -> dict[str, npt.NDArray[Any]]:
         first = (STORED_PX - CROP_PX) // 2
         cell = first // CELL_PX
         names = ("completion", "upper", "kerf", "drill", "through")

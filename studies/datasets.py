@@ -1,0 +1,107 @@
+"""Labelled pictures of the virtual bench, for training and for judging what was trained.
+
+Training, validation and test never share a specimen or a rig: each split draws from a range of seeds of its own,
+stated here and nowhere else.
+"""
+
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.errors import ConfigError
+from firmware_sim.specimen import Specimen, draw_specimen, load_specimen
+from studies.scenes import Sample, completion_samples, landmark_samples, tip_samples
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Split:
+    """Seeds ``first`` to ``first + 999_999`` belong to this split; ``--seed`` chooses where in it to begin."""
+
+    first: int
+    specimens: dict[str, int]
+
+    def seed_of(self, index: int, seed: int) -> int:
+        """Seed of the split's ``index``-th specimen."""
+        return self.first + (seed * 10_007 + index) % 1_000_000
+
+
+SPLITS = {
+    "train": Split(10_000_000, {"tip": 150, "landmarks": 320, "completion": 150}),
+    "validation": Split(20_000_000, {"tip": 12, "landmarks": 20, "completion": 24}),
+    "test": Split(30_000_000, {"tip": 12, "landmarks": 20, "completion": 24}),
+}
+EGGSHELL_EVERY = 8
+"""Every eighth specimen is an eggshell: another bone, and one without landmarks."""
+_SAMPLES: dict[str, Callable[[Specimen, np.random.Generator], Iterator[Sample]]] = {
+    "tip": tip_samples,
+    "landmarks": landmark_samples,
+    "completion": completion_samples,
+}
+
+
+def ensure(
+    task: str, split: str, folder: Path, *, seed: int, specimens: Path | None = None, progress: Progress
+) -> None:
+    """Render ``folder/split`` unless it is there; a run that was killed goes on where it stopped.
+
+    Args:
+        task: ``tip``, ``landmarks`` or ``completion``.
+        split: a key of ``SPLITS``.
+        folder: receives one ``.npy`` array per kind of datum, see the tasks in ``vision``.
+        seed: where in the split's range of seeds to begin.
+        specimens: a folder of specimen files to use in place of drawn ones.
+        progress: called with the specimens done and their number.
+    """
+    final = folder / split
+    if final.is_dir():
+        return
+    worlds = _drawn(task, split, seed) if specimens is None else _read(specimens)
+    draft = folder / f"{split}.part"
+    draft.mkdir(parents=True, exist_ok=True)
+    marker = draft / "specimens_done"
+    done = int(marker.read_text()) if marker.is_file() else 0
+    for index in range(done, len(worlds)):
+        specimen = worlds[index]()
+        samples = list(_SAMPLES[task](specimen, np.random.default_rng((SPLITS[split].first, seed, index))))
+        for name in samples[0]:
+            values = np.stack([sample[name] for sample in samples])
+            _store(draft / f"{name}.npy", values, index, len(worlds))
+        marker.write_text(str(index + 1))
+        progress(index + 1, len(worlds))
+    marker.unlink(missing_ok=True)
+    shutil.move(draft, final)
+
+
+def _drawn(task: str, split: str, seed: int) -> list[Callable[[], Specimen]]:
+    chosen = SPLITS[split]
+
+    def draw(index: int) -> Specimen:
+        egg = index % EGGSHELL_EVERY == EGGSHELL_EVERY - 1
+        return draw_specimen(chosen.seed_of(index, seed), kind="eggshell" if egg else "mouse")
+
+    return [lambda index=index: draw(index) for index in range(chosen.specimens[task])]  # type: ignore[misc]
+
+
+def _read(folder: Path) -> list[Callable[[], Specimen]]:
+    files = sorted(folder.glob("*.toml"))
+    if not files:
+        raise ConfigError(f"{folder}: found no specimen files (*.toml); name a folder that has some")
+    return [lambda file=file: load_specimen(file) for file in files]  # type: ignore[misc]
+
+
+def _store(file: Path, values: npt.NDArray[np.generic], index: int, count: int) -> None:
+    """Write the samples of specimen ``index``, of ``count``, into their place of one array."""
+    per_specimen = len(values)
+    if index == 0:
+        shape = (count * per_specimen, *values.shape[1:])
+        array = np.lib.format.open_memmap(file, mode="w+", dtype=values.dtype, shape=shape)
+    else:
+        array = np.lib.format.open_memmap(file, mode="r+")
+    array[index * per_specimen : (index + 1) * per_specimen] = values
+    array.flush()
