@@ -1,0 +1,178 @@
+"""`mill emulate`: a virtual bench on real wires, for the other commands in another terminal."""
+
+import os
+import select
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from cli.options import seed_option, specimen_option
+from drivers.errors import ConfigError
+
+if TYPE_CHECKING:
+    from firmware_sim.bench import Dialect
+    from firmware_sim.serve import BenchService, ServiceStatus
+    from firmware_sim.specimen import Specimen
+
+
+@click.command()
+@specimen_option
+@seed_option
+@click.option(
+    "--rig-out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Write the rig file here; without it, it is printed.",
+)
+@click.option(
+    "--dialect",
+    type=click.Choice(["gnea", "grblhal"]),
+    default="gnea",
+    show_default=True,
+    help="Firmware of the motion board.",
+)
+@click.option(
+    "--fps", type=click.FloatRange(1.0, 60.0), default=20.0, show_default=True, help="Pictures per second and eye."
+)
+@click.option(
+    "--truth-out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Keep the world's truth here as JSON, for scoring.",
+)
+@click.option("--until-stdin-closes", is_flag=True, help="End with the program that started this one.")
+def emulate(
+    specimen: Path | None,
+    seed: int,
+    rig_out: Path | None,
+    dialect: "Dialect",
+    fps: float,
+    truth_out: Path | None,
+    until_stdin_closes: bool,
+) -> None:
+    """Serve a virtual bench: a GRBL board and a CAN adapter on serial ports, two cameras over HTTP.
+
+    It prints a rig file that points at them; use it from another terminal. Ctrl-C ends it.
+    """
+    from firmware_sim.bench import Bench
+    from firmware_sim.serve import BenchService, write_atomically
+
+    for path in (rig_out, truth_out):
+        if path is not None and not path.parent.is_dir():
+            raise ConfigError(f"{path}: no folder {path.parent}; make it, or name another file")
+    drawn = _specimen(specimen, seed)
+    if sys.stderr.isatty():
+        click.echo("Preparing the bench...", err=True)
+    with _stop_signals() as stopped, BenchService(Bench(drawn, dialect=dialect), fps=fps) as service:
+        text = rig_text(service, f"virtual bench, seed {seed}" + (f", {specimen.name}" if specimen else ""))
+        if rig_out is None:
+            click.echo(text)
+            click.echo("Save this as rig.toml (or use --rig-out rig.toml), then in another terminal: ", nl=False)
+        else:
+            write_atomically(rig_out, text)
+            click.echo(f"{rig_out} is written. In another terminal: ", nl=False)
+        click.echo(f"mill doctor --rig {rig_out or 'rig.toml'}")
+        click.echo("Ctrl-C ends the bench.")
+        show = sys.stdout.isatty()
+
+        def ended() -> bool:
+            return stopped() or (until_stdin_closes and _stdin_closed())
+
+        service.run(ended, on_status=_show if show else None, truth_file=truth_out)
+        if show:
+            click.echo()
+
+
+def rig_text(service: "BenchService", name: str) -> str:
+    """The rig file of a served bench."""
+    from firmware_sim.bench import MAX_FEED_MM_S, MAX_SPEED_RPM, MECHANICAL_SETTINGS, NODE_ID, ORIGIN_MM, PARK_MM
+    from firmware_sim.optics import HEIGHT_PX, WIDTH_PX
+
+    left, right = service.camera_urls
+    tool = service.bench.specimen.tool
+    settings = "\n".join(f'"{key}" = {value:g}' for key, value in MECHANICAL_SETTINGS.items())
+    return f"""\
+# A virtual bench. It lives as long as its `mill emulate`.
+schema = 1
+name = "{name}"
+
+[motion]
+backend = "grbl"
+port = "{service.motion_port}"
+baud = 115200
+origin_mm = {_vector(ORIGIN_MM)}      # machine position of the origin of {{R}}
+max_feed_mm_s = {MAX_FEED_MM_S:g}
+
+[motion.settings]                  # must read back like this
+{settings}
+
+[spindle]
+backend = "cia402"
+interface = "slcan"
+channel = "{service.spindle_port}"
+bitrate = {service.bench.can.bit_rate}
+node_id = {NODE_ID}
+speed_rpm = 45000
+max_speed_rpm = {MAX_SPEED_RPM}
+
+[camera]
+backend = "opencv"
+left = "{left}"
+right = "{right}"
+size_px = [{WIDTH_PX}, {HEIGHT_PX}]
+fps = {service.fps:g}
+max_skew_s = 0.02
+
+[tool]
+ball_radius_mm = {tool.ball_radius_mm:g}
+axis = {_vector(tool.axis)}    # from the tip up the shank, in {{R}}
+
+[bench]
+park_mm = {_vector(PARK_MM)}        # where the drill is out of both pictures
+"""
+
+
+def _vector(values: tuple[float, float, float]) -> str:
+    return f"[{', '.join(f'{float(value):.6g}' for value in values)}]"
+
+
+def _specimen(path: Path | None, seed: int) -> "Specimen":
+    """Drawn by seed; a file overrides what it names."""
+    from firmware_sim.specimen import draw_specimen, load_specimen
+
+    if path is None:
+        return draw_specimen(seed)
+    return load_specimen(path, base=draw_specimen(seed, load_specimen(path).kind))
+
+
+def _show(status: "ServiceStatus") -> None:
+    x, y, z = status.tip_mm
+    depth = f"  depth {1000 * status.depth_mm:4.0f} um" if status.depth_mm > 0 else ""
+    late = f"  {status.skipped_s:.1f} s left out" if status.skipped_s >= 0.1 else ""
+    click.echo(
+        f"\r\x1b[K{status.time_s:7.1f} s  {'moving' if status.moving else 'still '}  tip {x:7.3f} {y:7.3f} {z:7.3f} mm"
+        f"  spindle {status.spindle_rpm:6.0f} rpm{depth}{late}",
+        nl=False,
+    )
+
+
+@contextmanager
+def _stop_signals() -> Iterator[Callable[[], bool]]:
+    """Whether SIGINT or SIGTERM has come."""
+    seen: list[int] = []
+    old = {number: signal.signal(number, lambda n, _: seen.append(n)) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(seen)
+    finally:
+        for number, handler in old.items():
+            signal.signal(number, handler)
+
+
+def _stdin_closed() -> bool:
+    readable, _, _ = select.select([sys.stdin], [], [], 0)
+    return bool(readable) and os.read(sys.stdin.fileno(), 4096) == b""

@@ -1,0 +1,45 @@
+"""A serial port for other processes: the far end of a pseudo-terminal."""
+
+import contextlib
+import os
+import pty
+import tty
+
+PENDING_MAX = 4096
+"""What waits for a host that does not read, beyond what the kernel keeps; as on a real port, more is lost."""
+
+
+class SerialPty:
+    """Raw bytes, no echo. The port survives hosts that close and open it again; nobody here ever waits for one."""
+
+    def __init__(self) -> None:
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self._pending = bytearray()
+        # Held open here, the slave keeps the port alive while no host has it.
+        self.path = os.ttyname(self._slave)
+
+    def fileno(self) -> int:
+        """For select."""
+        return self._master
+
+    def read(self) -> bytes:
+        """What the host has written."""
+        try:
+            return os.read(self._master, 4096)
+        except BlockingIOError:
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Send to the host what fits; the rest waits for the next call."""
+        if data and len(self._pending) < PENDING_MAX:
+            self._pending += data
+        if self._pending:
+            with contextlib.suppress(BlockingIOError):
+                del self._pending[: os.write(self._master, self._pending)]
+
+    def close(self) -> None:
+        """End the port; a host that has it open reads an end of file."""
+        os.close(self._slave)
+        os.close(self._master)

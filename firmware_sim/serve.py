@@ -1,0 +1,206 @@
+"""One bench in real time, on wires that other processes can open: two ptys and two camera streams.
+
+The boards run in the thread that calls ``run``: every millisecond it takes what the hosts wrote, brings the bench to
+the present and sends what the boards answer. Pictures are drawn in a thread of their own, in compiled code that does
+not hold the interpreter, and only while somebody watches. When this process was kept from running, the bench catches
+up a little at a time and takes the wires' bytes in between; of a long gap (another program held both cores, the
+computer slept) most is left out, so that a drive does not take its own sleep for a silent host.
+"""
+
+import contextlib
+import json
+import os
+import select
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import cv2
+
+from drivers.camera.interface import Image
+from drivers.clock import SystemClock
+from firmware_sim.bench import Bench
+from firmware_sim.mjpeg_camera import MjpegCameras
+from firmware_sim.ptys import SerialPty
+
+POLL_S = 0.001
+CATCH_UP_S = 0.01
+"""The longest stretch of bench time between two looks at the wires."""
+LONGEST_LAG_S = 0.1
+TRUTH_PERIOD_S = 0.5
+STATUS_PERIOD_S = 0.2
+JPEG_QUALITY = 90
+_SWITCH_INTERVAL_S = 0.0005
+
+
+@dataclass(frozen=True)
+class ServiceStatus:
+    """What a status line shows."""
+
+    time_s: float
+    moving: bool
+    tip_mm: tuple[float, float, float]
+    spindle_rpm: float
+    depth_mm: float
+    skipped_s: float
+
+
+class BenchService:
+    """A bench on ptys and ports. Open from construction; ``close`` ends every wire."""
+
+    def __init__(self, bench: Bench, *, fps: float = 20.0, camera_port: int = 0) -> None:
+        self.bench = bench
+        self.fps = fps
+        self.skipped_s = 0.0
+        self._clock = SystemClock()
+        # The first picture compiles and shades the scene; nobody should wait for it on an open wire.
+        self._encode(bench.microscope.render(bench.now_s))
+        bench.truth()
+        self._motion = SerialPty()
+        self._spindle = SerialPty()
+        self._cameras = MjpegCameras(port=camera_port)
+        self._ending = threading.Event()
+        self._renderer = threading.Thread(target=self._stream, name="renderer", daemon=True)
+
+    @property
+    def motion_port(self) -> str:
+        """Path of the GRBL board's serial port."""
+        return self._motion.path
+
+    @property
+    def spindle_port(self) -> str:
+        """Path of the CAN adapter's serial port."""
+        return self._spindle.path
+
+    @property
+    def camera_urls(self) -> tuple[str, str]:
+        """Left and right stream."""
+        return self._cameras.url("left"), self._cameras.url("right")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Hang up; a second call does nothing."""
+        if self._ending.is_set():
+            return
+        self._ending.set()
+        self._cameras.close()
+        if self._renderer.is_alive():
+            self._renderer.join(5.0)
+        self._motion.close()
+        self._spindle.close()
+
+    def run(
+        self,
+        stopped: Callable[[], bool],
+        *,
+        on_status: Callable[[ServiceStatus], None] | None = None,
+        truth_file: Path | None = None,
+    ) -> None:
+        """Serve until ``stopped()``; call it once."""
+        switch_interval_s = sys.getswitchinterval()
+        sys.setswitchinterval(_SWITCH_INTERVAL_S)
+        self._renderer.start()
+        truth = threading.Thread(target=self._tell_truth, args=(truth_file,), name="truth", daemon=True)
+        if truth_file is not None:
+            truth.start()
+        try:
+            self._serve(stopped, on_status)
+        finally:
+            sys.setswitchinterval(switch_interval_s)
+            self.close()
+            if truth_file is not None:
+                truth.join(5.0)
+                write_json_atomically(truth_file, self._truth())
+
+    def _serve(self, stopped: Callable[[], bool], on_status: Callable[[ServiceStatus], None] | None) -> None:
+        bench, clock = self.bench, self._clock
+        started_s = clock.now_s() - bench.now_s
+        status_at_s = clock.now_s()
+        while not stopped():
+            behind_s = clock.now_s() - started_s - bench.now_s
+            readable, _, _ = select.select([self._motion, self._spindle], [], [], max(0.0, POLL_S - behind_s))
+            if self._motion in readable:
+                bench.board.receive(self._motion.read())
+            if self._spindle in readable:
+                bench.adapter.receive(self._spindle.read())
+            lag_s = clock.now_s() - started_s - bench.now_s
+            if lag_s > LONGEST_LAG_S:
+                started_s += lag_s - LONGEST_LAG_S
+                self.skipped_s += lag_s - LONGEST_LAG_S
+            bench.advance_to(min(clock.now_s() - started_s, bench.now_s + CATCH_UP_S))
+            self._motion.write(bench.board.transmit())
+            self._spindle.write(bench.adapter.transmit())
+            if on_status is not None and clock.now_s() >= status_at_s:
+                status_at_s = clock.now_s() + STATUS_PERIOD_S
+                on_status(self._status())
+
+    def _status(self) -> ServiceStatus:
+        machine = self.bench.machine
+        x, y, z = (float(value) for value in machine.tip_mm)
+        return ServiceStatus(
+            time_s=self.bench.now_s,
+            moving=bool(machine.velocity_mm_s.any()),
+            tip_mm=(x, y, z),
+            spindle_rpm=machine.spindle_rpm,
+            depth_mm=self.bench.depth_mm,
+            skipped_s=self.skipped_s,
+        )
+
+    # --- cameras
+
+    def _stream(self) -> None:
+        period_s = 1.0 / self.fps
+        due_s = self._clock.now_s()
+        while not self._ending.wait(max(0.0, due_s - self._clock.now_s())):
+            exposed_at_s = self._clock.now_s()
+            due_s = max(due_s + period_s, exposed_at_s)
+            if self._cameras.watched:
+                left, right = self._encode(self.bench.microscope.render(self.bench.now_s))
+                self._cameras.publish(left, right, exposed_at_s)
+
+    @staticmethod
+    def _encode(pictures: tuple[Image, Image]) -> tuple[bytes, bytes]:
+        left, right = (
+            cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[
+                1
+            ].tobytes()
+            for picture in pictures
+        )
+        return left, right
+
+    # --- truth
+
+    def _tell_truth(self, path: Path) -> None:
+        while not self._ending.wait(TRUTH_PERIOD_S):
+            write_json_atomically(path, self._truth())
+
+    def _truth(self) -> dict[str, object]:
+        return {**self.bench.truth(), "monotonic_s": self._clock.now_s(), "skipped_s": self.skipped_s}
+
+
+def write_json_atomically(path: Path, content: dict[str, object]) -> None:
+    """A reader finds the old file or the new one, never half of one."""
+    write_atomically(path, json.dumps(content))
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Replace ``path`` as a whole."""
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        raise
