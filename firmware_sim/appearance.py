@@ -8,7 +8,7 @@ Left out: fluorescence, polarisation, the growth of a haematoma, hair that hangs
 """
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import cv2
 import numpy as np
@@ -20,7 +20,10 @@ from firmware_sim.optics import VIEW_CENTER_MM
 from firmware_sim.skull import Array, Field, Grid, Skull, smooth_noise
 from firmware_sim.specimen import Specimen
 
+Liquid = Literal["blood", "saline"]
+
 SCENE_STEP_MM: Final = 0.05
+FILM_CHANNELS: Final = 6
 BLUE_MU_PER_MM: Final = 4.73
 RED_MU_PER_MM: Final = 1.97
 GREEN_MU_PER_MM: Final = 3.75
@@ -28,7 +31,11 @@ GREEN_MU_PER_MM: Final = 3.75
 
 @dataclass(frozen=True)
 class Look:
-    """Fields on the bone's grid and on the wider grid of the scene, and the light."""
+    """Fields on the bone's grid and on the wider grid of the scene, and the light.
+
+    Channels of ``film``: its colour (3), its cover of the uncut surface, the gloss of drops, its cover that also
+    runs into a kerf.
+    """
 
     bone: Field
     bed: Field
@@ -63,18 +70,21 @@ def draw_look(specimen: Specimen, skull: Skull) -> Look:
     bone, bed, film, relief, ground_z, ground, opening = draw(rng, specimen, skull, scene_grid)
     mu = np.array([RED_MU_PER_MM, GREEN_MU_PER_MM, BLUE_MU_PER_MM]) * np.exp(rng.normal(0, 0.10))
     if style.texture is not None:
-        bone, ground, ground_z, opening = _with_photograph(
+        relief *= 0.15
+        bone, bed, ground, ground_z, opening = _with_photograph(
             specimen, skull, scene_grid, bone, bed, mu, ground, ground_z, opening
         )
-    grain = smooth_noise(rng, skull.outer_z.shape, skull.grid.step_mm, 0.12)
-    grain += 0.6 * smooth_noise(rng, skull.outer_z.shape, skull.grid.step_mm, 0.4)
-    typical = np.median(bone[::8, ::8].reshape(-1, 3) @ np.array([0.3, 0.6, 0.1]))
+    scales = {0.06: 0.45, 0.15: 0.5, 0.4: 0.5, 1.2: 0.5}
+    grain = sum(
+        weight * smooth_noise(rng, skull.outer_z.shape, skull.grid.step_mm, scale) for scale, weight in scales.items()
+    )
+    typical = np.mean(bone[skull.grid.middle(2.5)] @ np.array([0.3, 0.6, 0.1]))
     return Look(
         bone=bone,
         bed=bed,
         film=film,
         relief_mm=relief,
-        grain=grain.astype(np.float32),
+        grain=_f32(np.asarray(grain)),
         scene_grid=scene_grid,
         ground_z=ground_z,
         ground=ground,
@@ -116,6 +126,9 @@ def _draw_mouse(rng: np.random.Generator, specimen: Specimen, skull: Skull, scen
     bone = _mix(bone, raw * 1.3, 0.7 * congested)
     bone = _mix(bone, raw, muscle)
     bone *= np.exp(0.05 * smooth_noise(rng, shape, step, 0.12) + 0.04 * rng.standard_normal(shape))[..., None]
+    # Vessels of the periosteum and of the bone itself, which no thickness of bone hides.
+    surface_vessels = _blur(_ink(skull, vessels(rng, length), 1.0), rng.uniform(1.5, 5.0))
+    bone = _mix(bone, raw, np.clip(surface_vessels, 0, 1) * rng.uniform(0.0, 0.6))
     suture_rgb = raw * rng.uniform(0.5, 1.4) + rng.uniform(0.0, 0.06)
     line = np.clip(_blur(core, 1.2), 0, 1)
     bone = _mix(bone, suture_rgb, line * rng.uniform(0.45, 0.95))
@@ -146,19 +159,19 @@ def _draw_eggshell(rng: np.random.Generator, specimen: Specimen, skull: Skull, s
     table = np.full(3, rng.uniform(0.02, 0.12))
     ground = _mix(shell, table, _step(rim - rng.uniform(13.0, 17.0), 0.3))
     opening = _step(6.8 - rim, 1.0)
-    film = np.zeros((*shape, 4), np.float32)
+    film = np.zeros((*shape, FILM_CHANNELS), np.float32)
     return _f32(bone), _f32(bed), film, _f32(relief), _f32(ground_z), _f32(ground), _f32(opening)
 
 
-def _scalp_and_fur(
-    rng: np.random.Generator, skull: Skull, scene: Grid, raw: Array
-) -> tuple[Field, Field, Field]:
+def _scalp_and_fur(rng: np.random.Generator, skull: Skull, scene: Grid, raw: Array) -> tuple[Field, Field, Field]:
     """Height, colour and opening of what surrounds the bone."""
     x, y = scene.coordinates()
     s, t = skull.frame.st(x, y)
     wide, nose, tail = rng.uniform(4.3, 5.6), rng.uniform(4.5, 6.8), rng.uniform(4.2, 6.2)
     ring = np.hypot(s / wide, t / np.where(t > 0, nose, tail))
-    ring += 0.035 * smooth_noise(rng, ring.shape, scene.step_mm, 1.5) + 0.012 * smooth_noise(rng, ring.shape, scene.step_mm, 0.3)
+    ring += 0.035 * smooth_noise(rng, ring.shape, scene.step_mm, 1.5) + 0.012 * smooth_noise(
+        rng, ring.shape, scene.step_mm, 0.3
+    )
     opening = _step(1.0 - ring, 0.02)
     outer = skull.surface.outer_z(x, y)
     head = np.maximum(outer, -9.0 + 0.3 * smooth_noise(rng, ring.shape, scene.step_mm, 4.0))
@@ -167,8 +180,9 @@ def _scalp_and_fur(
     fur_edge = rng.uniform(1.08, 1.3)
     ground_z = np.where(ring < 1.0, outer, head + thick * _step(ring - 1.06, 0.06))
     ground_z += 0.15 * smooth_noise(rng, ring.shape, scene.step_mm, 0.8) * _step(ring - fur_edge, 0.1)
-    flesh = raw * rng.uniform(0.8, 2.2) + rng.uniform(0.0, 0.12)
-    skin = flesh * np.exp(0.25 * smooth_noise(rng, ring.shape, scene.step_mm, 0.5))[..., None]
+    flesh = raw * rng.uniform(0.4, 1.3) + rng.uniform(0.0, 0.06)
+    uneven = 0.3 * smooth_noise(rng, ring.shape, scene.step_mm, 0.9) + 0.2 * smooth_noise(rng, ring.shape, scene.step_mm, 0.2)
+    skin = flesh * np.exp(uneven)[..., None]
     fur = _fur(rng, skull, scene)
     edge = _step(ring + 0.03 * smooth_noise(rng, ring.shape, scene.step_mm, 0.25) - fur_edge, 0.05)
     return _f32(ground_z), _f32(_mix(skin, fur, edge)), _f32(opening)
@@ -200,18 +214,18 @@ def _fur(rng: np.random.Generator, skull: Skull, scene: Grid) -> Array:
 
 
 def _blood_specks(rng: np.random.Generator, skull: Skull, blood: Array, count: int) -> Field:
-    film = np.zeros((*skull.outer_z.shape, 4), np.float32)
+    film = np.zeros((*skull.outer_z.shape, FILM_CHANNELS), np.float32)
     film[..., :3] = blood
+    grid = skull.grid
     cover = np.zeros(skull.outer_z.shape, np.float32)
     for _ in range(count):
-        s, t = rng.uniform(-4.5, 4.5), rng.uniform(-5, 5)
-        x, y = skull.frame.xy(s, t)
-        at = (round((float(y) - skull.grid.y0_mm) / skull.grid.step_mm), round((float(x) - skull.grid.x0_mm) / skull.grid.step_mm))
-        size = np.exp(rng.normal(-1.6, 0.6)) / skull.grid.step_mm
+        x, y = skull.frame.xy(rng.uniform(-4.5, 4.5), rng.uniform(-5, 5))
+        at = (round((float(y) - grid.y0_mm) / grid.step_mm), round((float(x) - grid.x0_mm) / grid.step_mm))
+        size = np.exp(rng.normal(-1.6, 0.6)) / grid.step_mm
         axes = (max(1, round(size)), max(1, round(size * rng.uniform(0.4, 1.0))))
         cv2.ellipse(cover, at, axes, rng.uniform(0, 180), 0, 360, rng.uniform(0.4, 0.95), -1, cv2.LINE_AA)
-    ragged = _blur(cover, 4.0) + 0.12 * smooth_noise(rng, cover.shape, skull.grid.step_mm, 0.15) * (_blur(cover, 8.0) > 0.02)
-    film[..., 3] = np.clip((ragged - 0.25) * 3.0, 0.0, 0.92)
+    ragged = _blur(cover, 5.0) + 0.10 * smooth_noise(rng, cover.shape, grid.step_mm, 0.2) * (_blur(cover, 8.0) > 0.02)
+    film[..., 3] = np.clip((ragged - 0.25) * 2.2, 0.0, 0.9)
     return film
 
 
@@ -225,7 +239,7 @@ def _with_photograph(
     ground: Field,
     ground_z: Field,
     opening: Field,
-) -> tuple[Field, Field, Field, Field]:
+) -> tuple[Field, Field, Field, Field, Field]:
     """Lay a photograph over the skull by its bregma and lambda; solve for the bone that makes it look so."""
     style = specimen.appearance
     assert style.texture is not None and style.bregma_px is not None and style.lambda_px is not None
@@ -235,7 +249,9 @@ def _with_photograph(
     linear = ((photo[..., ::-1] / 255.0) ** 2.2).astype(np.float32)
     bregma, lambda_ = np.array(style.bregma_px), np.array(style.lambda_px)
     if np.hypot(*(bregma - lambda_)) < 10:
-        raise ConfigError("specimen keys appearance.bregma_px, lambda_px: less than 10 px apart; name two places of the picture")
+        raise ConfigError(
+            "specimen keys appearance.bregma_px, lambda_px: less than 10 px apart; name two places of the picture"
+        )
     nose = (bregma - lambda_) / (2 * skull.frame.half_length_mm)
     right = np.array([-nose[1], nose[0]])
     middle = 0.5 * (bregma + lambda_)
@@ -245,20 +261,46 @@ def _with_photograph(
         u = (middle[0] + s * right[0] + t * nose[0]).astype(np.float32)
         v = (middle[1] + s * right[1] + t * nose[1]).astype(np.float32)
         rim = np.minimum(np.minimum(u, photo.shape[1] - 1 - u), np.minimum(v, photo.shape[0] - 1 - v))
-        return cv2.remap(linear, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT), _step(rim - 12.0, 12.0)
+        return cv2.remap(linear, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT), _step(rim - 30.0, 28.0)
 
     colour, there = sampled(skull.grid)
+    # Photographs are exposed as they come: the bone's middle is brought to a usual reflectance.
+    balance = 0.27 / max(1e-3, float(colour[skull.grid.middle(2.5)].mean()))
+    colour *= balance
     back = np.exp(-2 * (skull.outer_z - skull.inner_z)[..., None] * mu)
-    wanted = np.clip((1.15 * colour - back * bed) / (1 - back), 0.012, 0.95)
+    bed = _mix(bed, np.minimum(bed, 0.7 * colour / back), there)
+    wanted = np.clip((colour - back * bed) / (1 - back), 0.01, 0.95)
     wide, wide_there = sampled(scene)
     x, y = scene.coordinates()
     smooth = np.maximum(skull.surface.outer_z(x, y), -9.0)
+    wide *= balance
     return (
         _f32(_mix(bone, wanted, there)),
+        _f32(bed),
         _f32(_mix(ground, wide, wide_there)),
         _f32(ground_z + (smooth - ground_z) * wide_there),
         _f32(opening + (_step(6.5 - np.hypot(*skull.frame.st(x, y)), 0.8) - opening) * wide_there),
     )
+
+
+def pour(look: Look, grid: Grid, x_mm: float, y_mm: float, radius_mm: float, liquid: Liquid) -> tuple[int, int, int, int]:
+    """Let a drop fall on the bone; returns the cells it may have changed."""
+    half = int(1.7 * radius_mm / grid.step_mm)
+    i, j = round((x_mm - grid.x0_mm) / grid.step_mm), round((y_mm - grid.y0_mm) / grid.step_mm)
+    i0, i1 = max(0, i - half), min(grid.rows, i + half + 1)
+    j0, j1 = max(0, j - half), min(grid.columns, j + half + 1)
+    if i1 <= i0 or j1 <= j0:
+        return 0, 0, 0, 0
+    here = (slice(i0, i1), slice(j0, j1))
+    rows, columns = np.mgrid[i0:i1, j0:j1]
+    away = np.hypot(rows - i, columns - j) * grid.step_mm / radius_mm + 0.12 * look.grain[here]
+    cover = _step(1.0 - away, 0.12)
+    film = look.film[here]
+    film[..., 4] = np.maximum(film[..., 4], cover)
+    if liquid == "blood":
+        film[..., 5] = np.maximum(film[..., 5], cover * np.float32(0.9))
+    look.relief_mm[here] += np.float32(0.12 * radius_mm) * np.clip(1.0 - away**2, 0.0, 1.0)
+    return i0, i1, j0, j1
 
 
 def _ink(skull: Skull, strokes: list[Stroke], value: float) -> Field:
@@ -267,7 +309,9 @@ def _ink(skull: Skull, strokes: list[Stroke], value: float) -> Field:
     step = skull.grid.step_mm
     for stroke in strokes:
         x, y = skull.frame.xy(stroke.st_mm[:, 0], stroke.st_mm[:, 1])
-        points = np.round(16 * np.column_stack([(y - skull.grid.y0_mm) / step, (x - skull.grid.x0_mm) / step])).astype(np.int32)
+        points = np.round(16 * np.column_stack([(y - skull.grid.y0_mm) / step, (x - skull.grid.x0_mm) / step])).astype(
+            np.int32
+        )
         widths = np.maximum(1, np.round(stroke.width_mm / step)).astype(int)
         runs = np.flatnonzero(np.diff(widths)) + 1
         for first, last in zip([0, *runs], [*runs, len(widths)], strict=True):

@@ -137,7 +137,6 @@ def paint_drill(
     per_mm = 0.5 * (eye[13] + eye[14]) * (1.0 + eye[12] * bw)
     grow = eye[12] * slant
     along_px = length / far
-    flat = math.sqrt(max(0.0, 1.0 - slant * slant))
     # Eye coordinates of the picture's axes: across and along the drill, and towards the eye.
     vx, vy, vz = eye[6], eye[7], eye[8]
     px, py, pz = axis[0] - slant * vx, axis[1] - slant * vy, axis[2] - slant * vz
@@ -159,7 +158,12 @@ def paint_drill(
             x, y, z = hit[r + row0, c + column0, 0], hit[r + row0, c + column0, 1], hit[r + row0, c + column0, 2]
             gx, gy = c + column0 - bx, r + row0 - by
             away = math.sqrt(gx * gx + gy * gy)
-            dark = 0.62 * (1.0 - ambient) / (0.4 + 0.6 * (1.0 - ambient)) * shadow_at(x, y, z, ball, axis, radius, profile, light)
+            dark = (
+                0.62
+                * (1.0 - ambient)
+                / (0.4 + 0.6 * (1.0 - ambient))
+                * shadow_at(x, y, z, ball, axis, radius, profile, light)
+            )
             if away < 4.0 * ball_px:
                 qd = math.sqrt((x - ball[0]) ** 2 + (y - ball[1]) ** 2 + (z - ball[2]) ** 2) - radius
                 dark = 1.0 - (1.0 - dark) * (1.0 - 0.35 * math.exp(-max(qd, 0.0) / 0.15))
@@ -205,8 +209,9 @@ def paint_drill(
                 lit = max(0.0, nx * light[0] + ny * light[1] + nz * light[2])
                 near = max(0.0, nx * hx + ny * hy + nz * hz)
                 # A room seen in metal: bright above, dark below, with a window.
-                room = 0.20 + 0.35 * max(0.0, nz) ** 2 + 0.18 * _smooth((nx * 0.6 - ny * 0.5 + nz * 0.5 - 0.75) * 5.0)
-                value = room + 0.35 * lit + 1.1 * near**40
+                room = 0.10 + 0.30 * max(0.0, nz) ** 3 + 0.30 * _smooth((nx * 0.6 - ny * 0.5 + nz * 0.5 - 0.75) * 5.0)
+                room -= 0.12 * _smooth(4.0 * (0.3 - abs(nx * 0.3 + ny * 0.6 - 0.35)))
+                value = max(0.02, room) + 0.30 * lit + 1.3 * near**60
                 if part == 0:
                     # Flutes run over the ball from pole to pole of the drill's axis.
                     lat = nx * axis[0] + ny * axis[1] + nz * axis[2]
@@ -222,4 +227,3 @@ def paint_drill(
                 for k in range(3):
                     display = 255.0 * min(1.0, value * tint[k]) ** gamma
                     work[r, c, k] += (display - work[r, c, k]) * cover
-    _ = flat

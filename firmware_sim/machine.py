@@ -117,6 +117,7 @@ class Machine:
         self._highest = float(self.skull.outer_z.max())
         self._onlookers: list[ChangedBox] = []
         self._rate_mm3_s = 0.0
+        self.first_cut_s: float | None = None
         self._heat_c = 0.0
         self._greatest_heat_c = 0.0
         self._greatest_force_n = 0.0
@@ -270,9 +271,7 @@ class Machine:
         around = xy[:, None, :] + offsets[None, :, :]
         return np.asarray(self.skull.completion_at(around[..., 0], around[..., 1]).max(axis=1))
 
-    def truth(
-        self, center_xy_mm: Sequence[float] | None = None, radius_mm: float | None = None, n: int = 360
-    ) -> Truth:
+    def truth(self, center_xy_mm: Sequence[float] | None = None, radius_mm: float | None = None, n: int = 360) -> Truth:
         """The state of the ring; without a ring told, the circle that fits what was cut."""
         with self.lock:
             fitted_center, fitted_radius = self._fitted_ring()
@@ -362,6 +361,8 @@ class Machine:
             at = float(skull.membrane_z[i, j])
             self._touched_mm = (grid.x0_mm + i * grid.step_mm, grid.y0_mm + j * grid.step_mm, at)
         if volume > 0.0:
+            if self.first_cut_s is None:
+                self.first_cut_s = time_s
             self._mark(*changed)
             if not self._path or math.dist(self._path[-1], ball[:2]) > LONGEST_STEP_MM:
                 self._path.append(ball[:2])

@@ -16,12 +16,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from firmware_sim.appearance import draw_look
+from firmware_sim.appearance import Liquid, draw_look, pour
 from firmware_sim.drill_picture import draw_drill, paint_drill, picture_box
 from firmware_sim.machine import Machine
 from firmware_sim.optics import HEIGHT_PX, WIDTH_PX, Eye, draw_eyes
 from firmware_sim.shading import completion_map, develop, expose, find_ground, shade
 from firmware_sim.skull import Array, Field
+from firmware_sim.specimen import Specimen
 
 Image = npt.NDArray[np.uint8]
 Box = tuple[int, int, int, int]
@@ -47,6 +48,17 @@ class Labels:
     ball_visible: tuple[bool, bool]
     bregma_visible: tuple[bool, bool]
     lambda_visible: tuple[bool, bool]
+
+
+@dataclass(frozen=True)
+class _Spill:
+    """A drop that falls while the bone is milled."""
+
+    after_s: float
+    x_mm: float
+    y_mm: float
+    radius_mm: float
+    liquid: Liquid
 
 
 class _View:
@@ -77,11 +89,14 @@ class Microscope:
         self._top: Field = machine.skull.outer_z.copy()
         grid = machine.skull.grid
         self._dust: Field = np.zeros((grid.rows // DUST_CELLS + 1, grid.columns // DUST_CELLS + 1), np.float32)
-        self._noise = np.random.default_rng([specimen.rig.seed & 0x7FFFFFFF, 13]).standard_normal(NOISE_SIZE, np.float32)
+        self._noise = np.random.default_rng([specimen.rig.seed & 0x7FFFFFFF, 13]).standard_normal(
+            NOISE_SIZE, np.float32
+        )
         look = self.look
         self._colours = np.stack([look.light_rgb, look.dust_rgb, look.mu_per_mm])
         self._numbers = np.array([look.ambient, look.wetness, look.dust, look.gain, look.vignetting])
         self._weights = _blur_weights()
+        self._spills = _draw_spills(specimen)
         self._views = tuple(_View(eye) for eye in draw_eyes(specimen.rig))
         for view in self._views:
             self._build(view)
@@ -102,6 +117,12 @@ class Microscope:
                 self._picture(view, ball, turned, rpm, frame * 2 + side) for side, view in enumerate(self._views)
             )
             return left, right
+
+    def pour(self, xy_mm: npt.ArrayLike, radius_mm: float, liquid: Liquid) -> None:
+        """Let a drop of blood or saline fall at (x, y) of {R}; it stays."""
+        x, y = np.asarray(xy_mm, float)[:2]
+        with self._busy:
+            self._pour(float(x), float(y), radius_mm, liquid)
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[Array, Array]:
         """True pixels (n, 2) of points (n, 3) of {R} in the left and the right picture."""
@@ -181,9 +202,18 @@ class Microscope:
         wider = (max(0, box[0] - 2), min(HEIGHT_PX, box[1] + 2), max(0, box[2] - 2), min(WIDTH_PX, box[3] + 2))
         develop(wider, view.linear, view.blur, self._weights, view.display)
 
+    def _pour(self, x_mm: float, y_mm: float, radius_mm: float, liquid: Liquid) -> None:
+        cells = pour(self.look, self.machine.skull.grid, x_mm, y_mm, radius_mm, liquid)
+        with self.machine.lock:
+            self._changed.add(*cells)
+
     def _update(self) -> tuple[Array, float, float]:
         """Copy what changed since the last picture, and shade it again; the ball, its turn and its speed."""
         machine = self.machine
+        if machine.first_cut_s is not None:
+            while self._spills and self._spills[0].after_s <= machine.now_s - machine.first_cut_s:
+                spill = self._spills.pop(0)
+                self._pour(spill.x_mm, spill.y_mm, spill.radius_mm, spill.liquid)
         with machine.lock:
             i0, i1, j0, j1 = self._changed.take()
             self._top[i0:i1, j0:j1] = machine.skull.top_z[i0:i1, j0:j1]
@@ -204,7 +234,10 @@ class Microscope:
         b0, b1 = max(0, j0 // n - reach), min(columns, (j1 - 1) // n + 1 + reach)
         # A wider neighbourhood feeds the blur, so that the result does not depend on how a kerf came about.
         c0, c1, d0, d1 = max(0, a0 - reach), min(rows, a1 + reach), max(0, b0 - reach), min(columns, b1 + reach)
-        cut = skull.outer_z[c0 * n : c1 * n : 2, d0 * n : d1 * n : 2] - self._top[c0 * n : c1 * n : 2, d0 * n : d1 * n : 2]
+        cut = (
+            skull.outer_z[c0 * n : c1 * n : 2, d0 * n : d1 * n : 2]
+            - self._top[c0 * n : c1 * n : 2, d0 * n : d1 * n : 2]
+        )
         coarse = cv2.resize(cut, (d1 - d0, c1 - c0), interpolation=cv2.INTER_AREA)
         spread = cv2.blur(coarse, (2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_REPLICATE)
         self._dust[a0:a1, b0:b1] = np.minimum(spread[a0 - c0 : a1 - c0, b0 - d0 : b1 - d0] / 0.12, 1.0)
@@ -213,7 +246,9 @@ class Microscope:
     def _pixels_of(self, view: _View, cells: Box) -> Box:
         skull = self.machine.skull
         grid = skull.grid
-        i, j = np.meshgrid(np.linspace(cells[0], cells[1] - 1, 7).astype(int), np.linspace(cells[2], cells[3] - 1, 7).astype(int))
+        i, j = np.meshgrid(
+            np.linspace(cells[0], cells[1] - 1, 7).astype(int), np.linspace(cells[2], cells[3] - 1, 7).astype(int)
+        )
         i, j = i.ravel(), j.ravel()
         points = np.column_stack([grid.x0_mm + i * grid.step_mm, grid.y0_mm + j * grid.step_mm, skull.outer_z[i, j]])
         pixels = view.eye.project(points)
@@ -233,7 +268,9 @@ class Microscope:
     def _composite(self, view: _View, ball: Array, turned: float, rpm: float) -> tuple[Box, Field, Field]:
         """Box of the drill and its shadow, its display values, and the drill's cover of each pixel."""
         look, drill = self.look, self.drill
-        box = picture_box(view.eye, drill, ball, look.light, self.machine.specimen.skull.center_mm[2], (HEIGHT_PX, WIDTH_PX))
+        box = picture_box(
+            view.eye, drill, ball, look.light, self.machine.specimen.skull.center_mm[2], (HEIGHT_PX, WIDTH_PX)
+        )
         work: Field = view.display[box[0] : box[1], box[2] : box[3]].copy()
         mask: Field = np.zeros(work.shape[:2], np.float32)
         if work.size:
@@ -244,6 +281,21 @@ class Microscope:
                 np.array([FOCUS_DEPTH_MM, DRILL_BLUR_PX_PER_MM]), work, mask,
             )  # fmt: skip
         return box, work, mask
+
+
+def _draw_spills(specimen: Specimen) -> list[_Spill]:
+    """What falls near the kerf during the first two minutes of cutting, by the specimen's seed."""
+    rng = np.random.default_rng([specimen.seed, 606])
+    spills = []
+    mouse = specimen.kind == "mouse"
+    for liquid, count in (("saline", rng.poisson(3.0 * specimen.appearance.wetness)), ("blood", rng.poisson(0.8) * mouse)):
+        for _ in range(count):
+            angle, reach = rng.uniform(0, 2 * np.pi), rng.uniform(0.8, 3.4)
+            x = specimen.skull.center_mm[0] + reach * np.cos(angle)
+            y = specimen.skull.center_mm[1] + reach * np.sin(angle)
+            radius = float(np.exp(rng.normal(-1.2, 0.35)))
+            spills.append(_Spill(rng.uniform(5, 120), x, y, radius, "blood" if liquid == "blood" else "saline"))
+    return sorted(spills, key=lambda spill: spill.after_s)
 
 
 def _blur_weights() -> Array:

@@ -43,7 +43,17 @@ def find_ground(eye: Any, ground: Any, x0: float, y0: float, step: float, hit: A
 
 @njit(cache=True, nogil=True, fastmath=True)
 def seen_bone(
-    eye: Any, hit: Any, r: int, c: int, outer: Any, top: Any, inner: Any, membrane: Any, x0: float, y0: float, step: float
+    eye: Any,
+    hit: Any,
+    r: int,
+    c: int,
+    outer: Any,
+    top: Any,
+    inner: Any,
+    membrane: Any,
+    x0: float,
+    y0: float,
+    step: float,
 ) -> tuple[int, int, float]:
     """Cell and height of what a pixel sees where the uncut bone at its ray may be gone; row -1 off the grid."""
     x, y, z, depth = hit[r, c, 0], hit[r, c, 1], hit[r, c, 2], hit[r, c, 3]
@@ -117,7 +127,10 @@ def shade(
             a, b = fi - si, fj - sj
             w00, w01, w10, w11 = (1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b
             open_share = (
-                opening[si, sj] * w00 + opening[si, sj + 1] * w01 + opening[si + 1, sj] * w10 + opening[si + 1, sj + 1] * w11
+                opening[si, sj] * w00
+                + opening[si, sj + 1] * w01
+                + opening[si + 1, sj] * w10
+                + opening[si + 1, sj + 1] * w11
             )
             edge = half_r * half_r + half_c * half_c
             corner = ((r - half_r) * (r - half_r) + (c - half_c) * (c - half_c)) / edge
@@ -128,14 +141,23 @@ def shade(
                 ny = -(ground_z[si, sj + 1] - ground_z[si, sj - 1]) / (2 * sstep)
                 scale = 1.0 / math.sqrt(1 + nx * nx + ny * ny)
                 lit = ambient + (1 - ambient) * max(0.0, (nx * light[0] + ny * light[1] + light[2]) * scale)
-                red = lit * (
-                    ground[si, sj, 0] * w00 + ground[si, sj + 1, 0] * w01 + ground[si + 1, sj, 0] * w10 + ground[si + 1, sj + 1, 0] * w11
+                red = colours[0, 0] * lit * (
+                    ground[si, sj, 0] * w00
+                    + ground[si, sj + 1, 0] * w01
+                    + ground[si + 1, sj, 0] * w10
+                    + ground[si + 1, sj + 1, 0] * w11
                 )
-                green = lit * (
-                    ground[si, sj, 1] * w00 + ground[si, sj + 1, 1] * w01 + ground[si + 1, sj, 1] * w10 + ground[si + 1, sj + 1, 1] * w11
+                green = colours[0, 1] * lit * (
+                    ground[si, sj, 1] * w00
+                    + ground[si, sj + 1, 1] * w01
+                    + ground[si + 1, sj, 1] * w10
+                    + ground[si + 1, sj + 1, 1] * w11
                 )
-                blue = lit * (
-                    ground[si, sj, 2] * w00 + ground[si, sj + 1, 2] * w01 + ground[si + 1, sj, 2] * w10 + ground[si + 1, sj + 1, 2] * w11
+                blue = colours[0, 2] * lit * (
+                    ground[si, sj, 2] * w00
+                    + ground[si, sj + 1, 2] * w01
+                    + ground[si + 1, sj, 2] * w10
+                    + ground[si + 1, sj + 1, 2] * w11
                 )
             if open_share > 0.004:
                 i, j, z = seen_bone(eye, hit, r, c, outer, top, inner, membrane, x0, y0, step)
@@ -163,7 +185,9 @@ def shade(
                             if 0 <= qi < top.shape[0] and 0 <= qj < top.shape[1] and top[qi, qj] > z + reach + 0.01:
                                 shut *= 0.82
                                 break
-                    lit = (ambient + (1 - ambient) * max(0.0, (nx * light[0] + ny * light[1] + light[2]) * scale)) * shut
+                    lit = (
+                        ambient + (1 - ambient) * max(0.0, (nx * light[0] + ny * light[1] + light[2]) * scale)
+                    ) * shut
                     thick = max(left, 0.0)
                     back0 = math.exp(-2 * colours[2, 0] * thick)
                     back1 = math.exp(-2 * colours[2, 1] * thick)
@@ -172,7 +196,7 @@ def shade(
                     p0 = bone[i, j, 0] * (1 - back0) + bed[i, j, 0] * back0
                     p1 = bone[i, j, 1] * (1 - back1) + bed[i, j, 1] * back1
                     p2 = bone[i, j, 2] * (1 - back2) + bed[i, j, 2] * back2
-                    cover = film[i, j, 3] * (1.0 - fresh)
+                    cover = 1.0 - (1.0 - film[i, j, 3] * (1.0 - fresh)) * (1.0 - film[i, j, 5])
                     p0 += (film[i, j, 0] - p0) * cover
                     p1 += (film[i, j, 1] - p1) * cover
                     p2 += (film[i, j, 2] - p2) * cover
@@ -180,10 +204,11 @@ def shade(
                     if powder > 0.0 and not through:
                         heap = powder * dustiness * 1.6 + 0.22 * grain[i, j] * min(1.0, powder * 4.0)
                         heap = min(1.0, max(0.0, heap - 0.12)) * (0.9 - 0.55 * wetness) * (1.0 - 0.6 * fresh)
+                        heap *= 1.0 - max(film[i, j, 4], film[i, j, 5])
                         p0 += (colours[1, 0] - p0) * heap
                         p1 += (colours[1, 1] - p1) * heap
                         p2 += (colours[1, 2] - p2) * heap
-                    gloss = wetness * (1.0 - 0.8 * fresh) + 0.6 * cover
+                    gloss = wetness * (1.0 - 0.8 * fresh) + 0.6 * cover + 0.8 * film[i, j, 4]
                     if through:
                         gloss = 0.5 + 0.5 * wetness
                     near = (nx * hx + ny * hy + hz) * scale
@@ -229,7 +254,6 @@ def develop(box: tuple[int, int, int, int], linear: Any, sigma: Any, weights: An
 def expose(display: Any, row0: int, column0: int, noise: Any, offset: int, read: float, shot: float, out: Any) -> None:
     """Noise and rounding of ``display``, whose first pixel is (row0, column0) of ``out``; the same pixel, the same noise."""
     mask = noise.shape[0] - 1
-    width = out.shape[1]
     for r in range(display.shape[0]):
         for c in range(display.shape[1]):
             # Rows start far apart in the table, so that its period never lines up in the picture.
@@ -239,7 +263,6 @@ def expose(display: Any, row0: int, column0: int, noise: Any, offset: int, read:
                 sigma = read * (1.0 - shot + shot * (0.4 + value * (1.2 / 255.0)))
                 value += sigma * noise[(at + k) & mask] + 0.5
                 out[r + row0, c + column0, k] = min(255.0, max(0.0, value))
-    _ = width
 
 
 @njit(cache=True, nogil=True, fastmath=True)

@@ -48,8 +48,14 @@ class Grid:
         n_x, n_y = round(half_x_mm / step_mm), round(half_y_mm / step_mm)
         return cls(x_mm - n_x * step_mm, y_mm - n_y * step_mm, step_mm, 2 * n_x + 1, 2 * n_y + 1)
 
+    def middle(self, half_mm: float) -> tuple[slice, slice]:
+        """The elements within ``half_mm`` of the middle."""
+        n = round(half_mm / self.step_mm)
+        i, j = self.rows // 2, self.columns // 2
+        return slice(max(0, i - n), i + n + 1), slice(max(0, j - n), j + n + 1)
+
     def coordinates(self) -> tuple[Array, Array]:
-        """x of every row (rows, 1) and y of every column (1, columns)."""
+        """Rows' x (rows, 1) and columns' y (1, columns)."""
         x = self.x0_mm + self.step_mm * np.arange(self.rows)
         y = self.y0_mm + self.step_mm * np.arange(self.columns)
         return x[:, None], y[None, :]
@@ -215,7 +221,9 @@ def _read_map(key: str, path: Path) -> Field:
     except (OSError, ValueError) as error:
         raise ConfigError(f"specimen key skull.{key}: {path} is not a NumPy file: {error}") from error
     if values.ndim != 2 or min(values.shape) < 2 or not np.isfinite(values).all():
-        raise ConfigError(f"specimen key skull.{key}: {path} holds {values.shape}; a finite (H, W) array in mm is asked")
+        raise ConfigError(
+            f"specimen key skull.{key}: {path} holds {values.shape}; a finite (H, W) array in mm is asked"
+        )
     return np.asarray(values, np.float32)
 
 
@@ -227,4 +235,6 @@ def _sample_map(values: Field, s_mm: Array, t_mm: Array, step_mm: float) -> Arra
     shape = rows.shape
     flat_x = np.atleast_2d(columns).astype(np.float32)
     flat_y = np.atleast_2d(rows).astype(np.float32)
-    return np.asarray(cv2.remap(values, flat_x, flat_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), float).reshape(shape)
+    return np.asarray(
+        cv2.remap(values, flat_x, flat_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), float
+    ).reshape(shape)
