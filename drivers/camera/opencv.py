@@ -1,0 +1,377 @@
+"""One camera: a V4L2 device by its path, an MJPEG stream over HTTP, or any other URL that FFmpeg opens.
+
+A thread of its own empties the camera as fast as it fills, so that the picture at hand is the newest one; JPEGs are
+decoded when somebody asks for the picture, and only the newest. V4L2 cameras run at fixed exposure and white balance,
+and every setting is read back; a URL's camera is set up on its own side.
+"""
+
+import contextlib
+import logging
+import math
+import os
+import threading
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from drivers.camera.interface import Image
+from drivers.camera.multipart import MultipartStream
+from drivers.clock import Clock
+from drivers.errors import (
+    ConfigError,
+    ConnectionLostError,
+    DeviceError,
+    DeviceFaultError,
+    DeviceTimeoutError,
+    MillError,
+)
+from drivers.lock import DeviceLock
+
+_log = logging.getLogger(__name__)
+
+_OPEN_S = 5.0
+_READ_S = 2.0
+_JOIN_S = 5.0
+_REOPENINGS_IN_A_ROW = 3
+_BUFFERS = 2
+_MANUAL_EXPOSURE = 1
+_STAMP_TRUSTED_WITHIN_S = 5.0
+_PERIODS_FROM_EXPOSURE_TO_ARRIVAL = 2
+_JPEG_START, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
+
+
+class _Stream(Protocol):
+    """An open camera, as the grabber sees it."""
+
+    def read(self) -> tuple[bytes | Image, float]:
+        """The next picture, a JPEG or RGB, and when its exposure began. May last as long as the read time-out."""
+
+    def interrupt(self) -> None:
+        """Let a waiting ``read()`` end soon, from another thread."""
+
+    def close(self) -> None:
+        """Give the device back."""
+
+
+class OpenCvSource:
+    """A ``drivers.camera.stereo.FrameSource``; ``clock`` is CLOCK_MONOTONIC (``SystemClock``), as the stamps are."""
+
+    def __init__(
+        self,
+        device_or_url: str,
+        clock: Clock,
+        *,
+        size_px: tuple[int, int],
+        fps: float,
+        exposure: float | None = None,
+        gain: float | None = None,
+        white_balance_k: float | None = None,
+    ) -> None:
+        """Open the camera and begin to grab. ``exposure`` in the camera's own unit; needed for a V4L2 device.
+
+        Raises:
+            ConnectionLostError: absent or not openable; the message names path, reason and next step.
+            DeviceBusyError: another process has it.
+            ConfigError: a setting that the camera does not hold.
+        """
+        self._name = device_or_url
+        self._clock = clock
+        self._size_px = size_px
+        self._fps = fps
+        self._settings = (exposure, gain, white_balance_k)
+        self._lock: DeviceLock | None = None
+        if not _is_url(device_or_url):
+            if exposure is None:
+                raise ConfigError(f"{device_or_url}: a V4L2 camera needs a fixed exposure; set [camera] exposure")
+            _require_present(device_or_url)
+            self._lock = DeviceLock(device_or_url)
+        self._closing = threading.Event()
+        self._changed = threading.Condition()
+        self._newest: tuple[bytes | Image, float] | None = None
+        self._decoded: tuple[Image, float] | None = None
+        self._failure: DeviceError | None = None
+        self.reopenings = 0
+        """How often the camera stalled and was opened again."""
+        try:
+            self._stream = self._open()
+        except BaseException:
+            self._release_lock()
+            raise
+        self._thread = threading.Thread(target=self._grab, name=f"grab {device_or_url}", daemon=True)
+        self._thread.start()
+
+    @property
+    def identity(self) -> str:
+        """The path or URL, with the maker's name and serial number of a V4L2 device as the kernel tells them."""
+        return self._name if _is_url(self._name) else _v4l2_identity(self._name)
+
+    def newest(self) -> tuple[Image, float] | None:
+        """The freshest picture at hand, without waiting; None while there is none."""
+        with self._changed:
+            self._require_alive()
+            frame = self._newest
+        return None if frame is None else self._decode(*frame)
+
+    def wait_newer(self, exposed_after_s: float, timeout_s: float) -> tuple[Image, float]:
+        """A picture whose exposure began after ``exposed_after_s``.
+
+        Raises:
+            DeviceTimeoutError: none within ``timeout_s``.
+            ConnectionLostError: the camera is gone.
+            DeviceFaultError: a picture that cannot be decoded.
+        """
+        deadline_s = self._clock.now_s() + timeout_s
+        with self._changed:
+            while True:
+                self._require_alive()
+                if self._newest is not None and self._newest[1] > exposed_after_s:
+                    frame = self._newest
+                    break
+                remaining_s = deadline_s - self._clock.now_s()
+                if remaining_s <= 0:
+                    raise DeviceTimeoutError(f"{self._name}: no new picture within {timeout_s:g} s; check the camera")
+                self._changed.wait(remaining_s)
+        return self._decode(*frame)
+
+    def close(self) -> None:
+        """Stop grabbing and give the camera back; a second call does nothing.
+
+        Raises:
+            DeviceTimeoutError: the grabber hangs in the driver; the camera stays taken until the process ends.
+        """
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        self._stream.interrupt()
+        self._thread.join(_JOIN_S)
+        if self._thread.is_alive():
+            raise DeviceTimeoutError(f"{self._name}: does not let go within {_JOIN_S:g} s; unplug the camera")
+        self._stream.close()
+        self._release_lock()
+
+    def _open(self) -> _Stream:
+        if self._name.startswith(("http://", "https://")):
+            return _HttpStream(self._name, self._clock, self._fps)
+        if _is_url(self._name):
+            return _FfmpegStream(self._name, self._clock, self._fps)
+        return _V4l2Stream(self._name, self._clock, self._size_px, self._fps, *self._settings)
+
+    def _grab(self) -> None:
+        stalls = 0
+        while not self._closing.is_set():
+            try:
+                frame = self._stream.read()
+            except DeviceTimeoutError as error:
+                # After a time-out a capture never recovers. The name is stable, so that the same camera comes back
+                # or none; a camera that hung up or was pulled is never taken again without a person.
+                stalls += 1
+                if stalls > _REOPENINGS_IN_A_ROW:
+                    self._fail(error)
+                if self._failure is not None or not self._reopen(error):
+                    return
+            except (DeviceError, cv2.error) as error:
+                self._fail(error)
+                return
+            else:
+                stalls = 0
+                with self._changed:
+                    self._newest = frame
+                    self._changed.notify_all()
+
+    def _reopen(self, stall: DeviceTimeoutError) -> bool:
+        if self._closing.is_set():
+            return False
+        _log.warning("%s; opening it again", stall)
+        self._stream.close()
+        try:
+            self._stream = self._open()
+        except (MillError, cv2.error) as error:
+            self._fail(error)
+            return False
+        self.reopenings += 1
+        return True
+
+    def _fail(self, error: MillError | cv2.error) -> None:
+        with self._changed:
+            self._failure = error if isinstance(error, DeviceError) else DeviceFaultError(f"{self._name}: {error}")
+            self._changed.notify_all()
+
+    def _require_alive(self) -> None:
+        if self._closing.is_set():
+            raise ConnectionLostError(f"{self._name}: the camera was closed; open it again")
+        if self._failure is not None:
+            raise type(self._failure)(str(self._failure))
+
+    def _decode(self, picture: bytes | Image, exposed_at_s: float) -> tuple[Image, float]:
+        if not isinstance(picture, bytes):
+            return picture, exposed_at_s
+        if self._decoded is None or self._decoded[1] != exposed_at_s:
+            image = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR_RGB)
+            if image is None:
+                raise DeviceFaultError(f"{self._name}: sent {len(picture)} bytes that are no JPEG; check cable and hub")
+            self._decoded = (np.asarray(image, np.uint8), exposed_at_s)
+        return self._decoded
+
+    def _release_lock(self) -> None:
+        if self._lock is not None:
+            self._lock.release()
+
+
+class _HttpStream:
+    """MJPEG over HTTP. Without stamps of the server, exposure is taken to begin two periods before arrival."""
+
+    def __init__(self, url: str, clock: Clock, fps: float) -> None:
+        self._clock = clock
+        self._delay_s = _PERIODS_FROM_EXPOSURE_TO_ARRIVAL / fps
+        self._stream = MultipartStream(url, _READ_S)
+
+    def read(self) -> tuple[bytes | Image, float]:
+        while True:
+            picture, exposed_at_s = self._stream.read()
+            if _is_whole_jpeg(picture):
+                return picture, self._clock.now_s() - self._delay_s if exposed_at_s is None else exposed_at_s
+
+    def interrupt(self) -> None:
+        self._stream.interrupt()
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+class _FfmpegStream:
+    """Any other URL. Its frames carry no time of ours, so exposure is taken to begin two periods before arrival."""
+
+    def __init__(self, url: str, clock: Clock, fps: float) -> None:
+        self._url = url
+        self._clock = clock
+        self._delay_s = _PERIODS_FROM_EXPOSURE_TO_ARRIVAL / fps
+        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, round(_OPEN_S * 1000)]
+        limits += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, round(_READ_S * 1000)]
+        self._capture = cv2.VideoCapture(url, cv2.CAP_FFMPEG, limits)
+        if not self._capture.isOpened():
+            raise ConnectionLostError(
+                f"{url}: cannot be opened within {_OPEN_S:g} s; start the camera's server, or correct the URL in the "
+                "rig file"
+            )
+
+    def read(self) -> tuple[bytes | Image, float]:
+        began_s = self._clock.now_s()
+        good, image = self._capture.read()
+        now_s = self._clock.now_s()
+        if not good:
+            if now_s - began_s >= _READ_S / 2:
+                raise DeviceTimeoutError(f"{self._url}: no picture within {_READ_S:g} s")
+            raise ConnectionLostError(f"{self._url}: the stream ended; start the camera again")
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8), now_s - self._delay_s
+
+    def interrupt(self) -> None:
+        """Nothing: the read time-out ends the wait."""
+
+    def close(self) -> None:
+        self._capture.release()
+
+
+class _V4l2Stream:
+    """A V4L2 device that sends MJPEG: two uncompressed ones do not fit on one USB 2 bus."""
+
+    def __init__(
+        self,
+        path: str,
+        clock: Clock,
+        size_px: tuple[int, int],
+        fps: float,
+        exposure: float | None,
+        gain: float | None,
+        white_balance_k: float | None,
+    ) -> None:
+        self._path = path
+        self._clock = clock
+        # This backend has no time-outs of its own to set; it waits 10 s unless the environment says otherwise.
+        os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(math.ceil(_READ_S)))
+        self._capture = cv2.VideoCapture(path, cv2.CAP_V4L2)
+        try:
+            if not self._capture.isOpened():
+                raise ConnectionLostError(
+                    f"{path}: cannot be opened as a V4L2 capture device; close other programs that use it, and check "
+                    "that it is the capture node and not the metadata node (`v4l2-ctl --list-devices`)"
+                )
+            self._set("pixel format", cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
+            self._set("width", cv2.CAP_PROP_FRAME_WIDTH, size_px[0])
+            self._set("height", cv2.CAP_PROP_FRAME_HEIGHT, size_px[1])
+            self._set("fps", cv2.CAP_PROP_FPS, fps)
+            self._set("buffers", cv2.CAP_PROP_BUFFERSIZE, _BUFFERS)
+            self._set("conversion by OpenCV", cv2.CAP_PROP_CONVERT_RGB, 0)
+            # Exposure is refused while it is automatic, colour temperature likewise.
+            self._set("automatic exposure (1 = manual)", cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
+            self._set("exposure", cv2.CAP_PROP_EXPOSURE, exposure)
+            self._set("gain", cv2.CAP_PROP_GAIN, gain)
+            self._set("automatic white balance", cv2.CAP_PROP_AUTO_WB, 0)
+            self._set("white_balance_k", cv2.CAP_PROP_WB_TEMPERATURE, white_balance_k)
+        except BaseException:
+            self._capture.release()
+            raise
+
+    def read(self) -> tuple[bytes | Image, float]:
+        while True:
+            if not self._capture.grab():
+                if not Path(self._path).exists():
+                    raise ConnectionLostError(f"{self._path}: the camera is gone; plug it in and open it again")
+                raise DeviceTimeoutError(f"{self._path}: no picture within {_READ_S:g} s")
+            stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+            if abs(self._clock.now_s() - stamp_s) > _STAMP_TRUSTED_WITHIN_S:
+                raise DeviceFaultError(
+                    f"{self._path}: stamps its pictures {stamp_s:.3f} s when CLOCK_MONOTONIC is "
+                    f"{self._clock.now_s():.3f} s; without true stamps no picture can be called fresh"
+                )
+            good, raw = self._capture.retrieve()
+            # A frame torn on the bus is dropped; the next one is a period away.
+            if good and _is_whole_jpeg(picture := np.asarray(raw, np.uint8).tobytes().rstrip(b"\0")):
+                return picture, stamp_s
+
+    def interrupt(self) -> None:
+        """Nothing: the next picture, or the time-out, ends the wait."""
+
+    def close(self) -> None:
+        self._capture.release()
+
+    def _set(self, name: str, key: int, value: float | None) -> None:
+        if value is None:
+            return
+        self._capture.set(key, value)
+        found = self._capture.get(key)
+        if not math.isclose(found, value, rel_tol=1e-3, abs_tol=1e-3):
+            raise ConfigError(
+                f"{self._path}: {name} set to {value:g} but reads back {found:g}; `v4l2-ctl -d {self._path} "
+                "--list-ctrls --list-formats-ext` shows what this camera allows for [camera]"
+            )
+
+
+def _is_url(name: str) -> bool:
+    return "://" in name
+
+
+def _is_whole_jpeg(picture: bytes) -> bool:
+    return picture.startswith(_JPEG_START) and picture.endswith(_JPEG_END)
+
+
+def _require_present(path: str) -> None:
+    if not Path(path).exists():
+        reason, step = "no such device", "plug the camera in, check the udev rules (udev/), then run `mill devices`"
+    elif not os.access(path, os.R_OK | os.W_OK):
+        reason, step = "permission denied", "install the udev rules (udev/) and plug the camera in again"
+    else:
+        return
+    raise ConnectionLostError(f"{path}: cannot be opened ({reason}); {step}")
+
+
+def _v4l2_identity(path: str) -> str:
+    node = Path("/sys/class/video4linux") / Path(path).resolve().name
+    words = [path]
+    with contextlib.suppress(OSError):
+        words.append((node / "name").read_text().strip())
+    with contextlib.suppress(OSError):
+        # video node -> USB interface -> USB device
+        words.append("serial " + (node / "device" / ".." / "serial").resolve().read_text().strip())
+    return " ".join(words)
