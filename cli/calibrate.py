@@ -1,5 +1,6 @@
 """`mill calibrate`."""
 
+import re
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 def calibration_path(rig_name: str) -> Path:
     """Where the calibration of a rig lies unless told otherwise."""
-    return Path("calibrations") / f"{rig_name}.toml"
+    return Path("calibrations") / f"{re.sub('[^a-z0-9]+', '-', rig_name.lower()).strip('-')}.toml"
 
 
 @click.command()

@@ -8,7 +8,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -19,12 +19,13 @@ from cli.config import Cia402SpindleTable, GrblMotion, OpenCvCamera, OtherBacken
 from drivers.backends import load_backend
 from drivers.camera.interface import StereoCamera
 from drivers.clock import Clock, SystemClock
-from drivers.errors import ConfigError, ConnectionLostError
+from drivers.errors import ConfigError, ConnectionLostError, DeviceTimeoutError
 from drivers.motion.interface import MotionController
 from drivers.spindle.interface import Spindle
 
 EMULATOR_START_S = 120.0
 """The first start of a virtual bench compiles its renderer."""
+TRUTH_TIMEOUT_S = 5.0
 
 
 class Rig(Protocol):
@@ -42,8 +43,11 @@ class Rig(Protocol):
     def open_camera(self) -> StereoCamera:
         """Open both cameras."""
 
+    def truth_now(self) -> dict[str, Any] | None:
+        """What a virtual bench last said about itself, for scoring; None on hardware."""
+
     def truth(self) -> dict[str, Any] | None:
-        """What a virtual bench knows about itself, for scoring after the work is done; None on hardware."""
+        """The same, of a moment after the call."""
 
 
 @dataclass
@@ -52,7 +56,7 @@ class WiredRig:
 
     config: RigConfig
     clock: Clock
-    read_truth: Callable[[], dict[str, Any] | None] = lambda: None
+    truth_file: Path | None = None
 
     def open_motion(self) -> MotionController:
         """Open the motion controller of the rig file."""
@@ -75,9 +79,26 @@ class WiredRig:
             return cast(StereoCamera, load_backend("camera", table.backend)(_raw(table), self.clock))
         return open_opencv(table, self.clock)
 
+    def truth_now(self) -> dict[str, Any] | None:
+        """The newest truth of a virtual bench; None on hardware."""
+        if self.truth_file is None or not self.truth_file.is_file():
+            return None
+        return cast(dict[str, Any], json.loads(self.truth_file.read_text()))
+
     def truth(self) -> dict[str, Any] | None:
-        """The virtual bench's truth, where there is one."""
-        return self.read_truth()
+        """The truth of a virtual bench after the call; None on hardware.
+
+        Raises:
+            DeviceTimeoutError: the bench is silent.
+        """
+        if self.truth_file is None:
+            return None
+        asked_s = self.clock.now_s()
+        while (truth := self.truth_now()) is None or truth["monotonic_s"] < asked_s:
+            if self.clock.now_s() > asked_s + TRUTH_TIMEOUT_S:
+                raise DeviceTimeoutError(f"virtual bench: no truth for {TRUTH_TIMEOUT_S:g} s; see `mill emulate`")
+            self.clock.sleep_s(0.05)
+        return truth
 
 
 def _raw(table: OtherBackend) -> Mapping[str, Any]:
@@ -179,12 +200,7 @@ def _served_bench(specimen: Path | None, seed: int) -> Iterator[WiredRig]:
             )
         try:
             _wait_for(rig_file, process, log_file)
-
-            def read_truth() -> dict[str, Any] | None:
-                _end(process)
-                return cast(dict[str, Any], json.loads(truth_file.read_text())) if truth_file.is_file() else None
-
-            yield WiredRig(load_rig(rig_file), SystemClock(), read_truth)
+            yield WiredRig(load_rig(rig_file), SystemClock(), truth_file)
         finally:
             _end(process)
 

@@ -1,0 +1,169 @@
+"""`mill run`."""
+
+import contextlib
+import signal
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from cli.calibrate import calibrate_rig, calibration_path, rig_identity
+from cli.options import emulate_option, json_option, rig_option, seed_option, specimen_option
+from cli.output import write_json
+from cli.rig import Rig, rig_for
+
+if TYPE_CHECKING:
+    from calib.calibration_file import Calibration
+
+
+@click.command()
+@rig_option
+@emulate_option
+@specimen_option
+@seed_option
+@json_option
+@click.option("--calibration", type=click.Path(path_type=Path), metavar="FILE", help="[default: calibrations/RIG.toml]")
+@click.option("--policy", type=click.Choice(["default", "paper", "previous"]), help="How to go deeper.")
+@click.option("--radius", "radius_mm", type=float, metavar="MM", help="Radius of the ring, 2 to 4 mm.")
+@click.option("--feed", "feed_mm_s", type=float, metavar="MM/S", help="Speed along the ring, at most 5 mm/s.")
+@click.option("--points", "n_points", type=int, metavar="N", help="Trajectory points.")
+@click.option("--ratio", "landmark_ratio", type=float, metavar="L", help="Centre between bregma (0) and lambda (1).")
+@click.option(
+    "--record", type=click.Path(path_type=Path), metavar="DIR", help="Folder of this run's record. [default: runs/DATE]"
+)
+def run(
+    rig: Path | None,
+    emulate: bool,
+    specimen: Path | None,
+    seed: int,
+    json_file: Path | None,
+    calibration: Path | None,
+    record: Path | None,
+    **choices: Any,
+) -> None:
+    """Mill one window in a closed loop, and write its record and report.
+
+    With --emulate and without --calibration, the virtual bench is calibrated first. Ctrl-C lifts the drill, stops the
+    spindle and closes the record; a second one stops everything where it stands.
+    """
+    from rich.console import Console
+
+    from calib.calibration_file import Calibration
+    from cli.progress import watched
+    from cli.score import Scorer
+    from milling import loop
+    from milling.job import Job
+    from milling.loop import Finders
+    from milling.record import RunRecorder
+    from vision.completion import CompletionReader
+    from vision.keypoints import LandmarkFinder, TipFinder
+
+    console = Console(stderr=json_file is not None and str(json_file) == "-")
+    tip, landmarks, completion = TipFinder.load(), LandmarkFinder.load(), CompletionReader.load()
+    weights = {"tip": tip.sha256, "landmarks": landmarks.sha256, "completion": completion.sha256}
+    folder = record or Path("runs") / datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
+    with _stop_signals() as stop_requested, rig_for(rig, emulate=emulate, specimen=specimen, seed=seed) as bench:
+        job = Job.from_table(_job_table(bench, choices))
+        path = calibration or calibration_path(bench.config.name)
+        known = None if emulate and calibration is None else Calibration.load(path, None, for_milling=True)
+        with bench.open_spindle() as spindle, bench.open_camera() as camera, bench.open_motion() as motion:
+            identity = rig_identity(bench, motion, camera, spindle.identity)
+            if known is None:
+                console.print("homing")
+                motion.home()
+                known = calibrate_rig(bench, motion, camera, spindle.identity, tip, console)
+                console.print(f"calibrated: held-out error {known.rmse_mm:.3f} mm ({known.model} model)")
+            else:
+                known = Calibration.load(path, identity, for_milling=True)
+            header = {
+                "command": "run",
+                "version": version("micromill"),
+                "date": datetime.now(UTC).isoformat(timespec="seconds"),
+                "rig": bench.config.name,
+                "identity": identity.model_dump(),
+                "seed": seed if emulate else None,
+                "specimen": str(specimen) if specimen else None,
+                "job": asdict(job),
+                "weights": weights,
+                "calibration": _calibration_header(known),
+            }
+            with RunRecorder(folder, header, bench.clock, on_loss=console.print) as recorder:
+                known.save(folder / "calibration.toml")
+                finders = Finders(tip.find, landmarks.find, completion)
+                rig_ = loop.Rig(
+                    motion,
+                    spindle,
+                    camera,
+                    bench.clock,
+                    bench.config.tool.center_from_tip_mm,
+                    bench.config.bench.park_mm,
+                )
+                scorer = Scorer(recorder, bench)
+                with watched(console) as tell:
+                    result = loop.run(rig_, known, finders, job, scorer, progress=tell, stop_requested=stop_requested)
+                recorder.close(result.to_json())
+        truth = scorer.truth(result)
+    report = write_report(folder)
+    color = "green" if result.outcome == "complete" else "bold red"
+    console.print(f"outcome: [{color}]{result.outcome}[/]  {result.reason}", highlight=False, soft_wrap=True)
+    console.print(f"milling time: {result.milling_time_s:.0f} s", highlight=False)
+    if truth:
+        console.print(
+            f"the virtual bench says: membrane {'TOUCHED' if truth['membrane_touched'] else 'not touched'}, "
+            f"flap {'free' if truth['flap_free'] else 'not free'}",
+            highlight=False,
+        )
+    console.print(f"report: {report}", highlight=False, soft_wrap=True)
+    if json_file:
+        figures = {**result.to_json(), "record": str(folder), "report": str(report)}
+        if truth is not None:
+            figures["truth"] = truth
+        write_json(json_file, "run", seed=seed if emulate else None, **figures)
+    if result.outcome != "complete":
+        raise SystemExit(1)
+
+
+def _job_table(bench: Rig, choices: dict[str, Any]) -> dict[str, Any]:
+    """The rig file's job, with what the command line says instead."""
+    tool = {"ball_radius_mm": bench.config.tool.ball_radius_mm}
+    spindle_rpm = bench.config.spindle.model_dump().get("speed_rpm")
+    speed = {} if spindle_rpm is None else {"spindle_rpm": spindle_rpm}
+    return {**tool, **speed, **bench.config.job, **{key: value for key, value in choices.items() if value is not None}}
+
+
+def _calibration_header(calibration: "Calibration") -> dict[str, Any]:
+    return {
+        "model": calibration.model,
+        "rmse_mm": calibration.rmse_mm,
+        "predicted_rmse_mm": calibration.predicted_rmse_mm,
+        "date": calibration.provenance.date,
+    }
+
+
+def write_report(folder: Path) -> Path:
+    """Write the run's report beside its record."""
+    from cli.reports.run_report import write_report as write
+
+    return write(folder)
+
+
+@contextlib.contextmanager
+def _stop_signals() -> Iterator[Callable[[], bool]]:
+    """The first SIGINT or SIGTERM asks the loop to stop; a second SIGINT interrupts whatever it does."""
+    asked: list[int] = []
+
+    def ask(number: int, _frame: object) -> None:
+        if asked and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        asked.append(number)
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(asked)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
