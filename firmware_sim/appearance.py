@@ -67,7 +67,7 @@ def draw_look(specimen: Specimen, skull: Skull) -> Look:
     light = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
     warmth = rng.normal(0.0, 0.05)
     draw = _draw_eggshell if specimen.kind == "eggshell" else _draw_mouse
-    bone, bed, film, relief, ground_z, ground, opening = draw(rng, specimen, skull, scene_grid)
+    bone, bed, film, relief, ground_z, ground, opening = draw(rng, skull, scene_grid)
     mu = np.array([RED_MU_PER_MM, GREEN_MU_PER_MM, BLUE_MU_PER_MM]) * np.exp(rng.normal(0, 0.10))
     if style.texture is not None:
         relief *= 0.15
@@ -105,9 +105,9 @@ def draw_look(specimen: Specimen, skull: Skull) -> Look:
 _Parts = tuple[Field, Field, Field, Field, Field, Field, Field]
 
 
-def _draw_mouse(rng: np.random.Generator, specimen: Specimen, skull: Skull, scene: Grid) -> _Parts:
+def _draw_mouse(rng: np.random.Generator, skull: Skull, scene: Grid) -> _Parts:
     shape, step = skull.outer_z.shape, skull.grid.step_mm
-    s, t = skull.frame.st(*skull.grid.coordinates())
+    s, _ = skull.frame.st(*skull.grid.coordinates())
     length = skull.frame.half_length_mm
     strokes = sutures(rng, length)
     # Two-flux reflectance of a thick layer at the published coefficients: 0.37, 0.24, 0.20.
@@ -144,7 +144,7 @@ def _draw_mouse(rng: np.random.Generator, specimen: Specimen, skull: Skull, scen
     return _f32(bone), _f32(bed), film, _f32(relief), ground_z, ground, opening
 
 
-def _draw_eggshell(rng: np.random.Generator, specimen: Specimen, skull: Skull, scene: Grid) -> _Parts:
+def _draw_eggshell(rng: np.random.Generator, skull: Skull, scene: Grid) -> _Parts:
     shape, step = skull.outer_z.shape, skull.grid.step_mm
     white = np.array([[0.80, 0.78, 0.74], [0.62, 0.42, 0.28], [0.72, 0.62, 0.50]])[rng.choice(3, p=[0.7, 0.15, 0.15])]
     speckle = 0.03 * smooth_noise(rng, shape, step, 0.2) + 0.02 * rng.standard_normal(shape)
@@ -181,7 +181,8 @@ def _scalp_and_fur(rng: np.random.Generator, skull: Skull, scene: Grid, raw: Arr
     ground_z = np.where(ring < 1.0, outer, head + thick * _step(ring - 1.06, 0.06))
     ground_z += 0.15 * smooth_noise(rng, ring.shape, scene.step_mm, 0.8) * _step(ring - fur_edge, 0.1)
     flesh = raw * rng.uniform(0.4, 1.3) + rng.uniform(0.0, 0.06)
-    uneven = 0.3 * smooth_noise(rng, ring.shape, scene.step_mm, 0.9) + 0.2 * smooth_noise(rng, ring.shape, scene.step_mm, 0.2)
+    uneven = 0.3 * smooth_noise(rng, ring.shape, scene.step_mm, 0.9)
+    uneven += 0.2 * smooth_noise(rng, ring.shape, scene.step_mm, 0.2)
     skin = flesh * np.exp(uneven)[..., None]
     fur = _fur(rng, skull, scene)
     edge = _step(ring + 0.03 * smooth_noise(rng, ring.shape, scene.step_mm, 0.25) - fur_edge, 0.05)
@@ -242,7 +243,6 @@ def _with_photograph(
 ) -> tuple[Field, Field, Field, Field, Field]:
     """Lay a photograph over the skull by its bregma and lambda; solve for the bone that makes it look so."""
     style = specimen.appearance
-    assert style.texture is not None and style.bregma_px is not None and style.lambda_px is not None
     photo = cv2.imread(str(style.texture), cv2.IMREAD_COLOR)
     if photo is None:
         raise ConfigError(f"specimen key appearance.texture: {style.texture} is not a picture that OpenCV reads")
@@ -261,14 +261,15 @@ def _with_photograph(
         u = (middle[0] + s * right[0] + t * nose[0]).astype(np.float32)
         v = (middle[1] + s * right[1] + t * nose[1]).astype(np.float32)
         rim = np.minimum(np.minimum(u, photo.shape[1] - 1 - u), np.minimum(v, photo.shape[0] - 1 - v))
-        return cv2.remap(linear, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT), _step(rim - 30.0, 28.0)
+        colours = cv2.remap(linear, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+        return _f32(colours), _step(rim - 30.0, 28.0)
 
     colour, there = sampled(skull.grid)
     # Photographs are exposed as they come: the bone's middle is brought to a usual reflectance.
     balance = 0.27 / max(1e-3, float(colour[skull.grid.middle(2.5)].mean()))
     colour *= balance
     back = np.exp(-2 * (skull.outer_z - skull.inner_z)[..., None] * mu)
-    bed = _mix(bed, np.minimum(bed, 0.7 * colour / back), there)
+    bed = _f32(_mix(bed, np.minimum(bed, 0.7 * colour / back), there))
     wanted = np.clip((colour - back * bed) / (1 - back), 0.01, 0.95)
     wide, wide_there = sampled(scene)
     x, y = scene.coordinates()
@@ -276,14 +277,16 @@ def _with_photograph(
     wide *= balance
     return (
         _f32(_mix(bone, wanted, there)),
-        _f32(bed),
+        bed,
         _f32(_mix(ground, wide, wide_there)),
         _f32(ground_z + (smooth - ground_z) * wide_there),
         _f32(opening + (_step(6.5 - np.hypot(*skull.frame.st(x, y)), 0.8) - opening) * wide_there),
     )
 
 
-def pour(look: Look, grid: Grid, x_mm: float, y_mm: float, radius_mm: float, liquid: Liquid) -> tuple[int, int, int, int]:
+def pour(
+    look: Look, grid: Grid, x_mm: float, y_mm: float, radius_mm: float, liquid: Liquid
+) -> tuple[int, int, int, int]:
     """Let a drop fall on the bone; returns the cells it may have changed."""
     half = int(1.7 * radius_mm / grid.step_mm)
     i, j = round((x_mm - grid.x0_mm) / grid.step_mm), round((y_mm - grid.y0_mm) / grid.step_mm)
@@ -326,12 +329,11 @@ def _blur(field: Field, sigma_cells: float) -> Field:
 def _step(value: npt.NDArray[np.floating], width: float) -> Field:
     """0 below, 1 above, smooth over ``width`` round zero."""
     x = np.clip(0.5 + value / (2 * width), 0.0, 1.0)
-    return (x * x * (3 - 2 * x)).astype(np.float32)
+    return np.asarray(x * x * (3 - 2 * x), np.float32)
 
 
 def _mix(below: Array | Field, above: Array | Field, share: Field) -> Array:
-    mixed: Array = below + (above - below) * share[..., None]
-    return mixed
+    return np.asarray(below + (above - below) * share[..., None], float)
 
 
 def _f32(values: Array | Field) -> Field:

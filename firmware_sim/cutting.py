@@ -43,10 +43,10 @@ def mill_step(
         box of changed cells (first row, past the last, first column, past the last).
     """
     bx, by, bz = ball
-    i0 = max(0, int(math.ceil((bx - radius - x0) / step)))
-    i1 = min(top.shape[0], int(math.floor((bx + radius - x0) / step)) + 1)
-    j0 = max(0, int(math.ceil((by - radius - y0) / step)))
-    j1 = min(top.shape[1], int(math.floor((by + radius - y0) / step)) + 1)
+    i0 = max(0, math.ceil((bx - radius - x0) / step))
+    i1 = min(top.shape[0], math.floor((bx + radius - x0) / step) + 1)
+    j0 = max(0, math.ceil((by - radius - y0) / step))
+    j1 = min(top.shape[1], math.floor((by + radius - y0) / step) + 1)
     count = 0
     pressed = 0.0
     below = -1e9
@@ -112,16 +112,14 @@ def carve_balls(top: Any, x0: float, y0: float, step: float, balls: Any, radius:
     """Remove at once what balls centred at ``balls`` (n, 3) overlap."""
     for n in range(balls.shape[0]):
         bx, by, bz = balls[n, 0], balls[n, 1], balls[n, 2]
-        i0 = max(0, int(math.ceil((bx - radius - x0) / step)))
-        i1 = min(top.shape[0], int(math.floor((bx + radius - x0) / step)) + 1)
-        j0 = max(0, int(math.ceil((by - radius - y0) / step)))
-        j1 = min(top.shape[1], int(math.floor((by + radius - y0) / step)) + 1)
+        i0 = max(0, math.ceil((bx - radius - x0) / step))
+        i1 = min(top.shape[0], math.floor((bx + radius - x0) / step) + 1)
+        j0 = max(0, math.ceil((by - radius - y0) / step))
+        j1 = min(top.shape[1], math.floor((by + radius - y0) / step) + 1)
         for i in range(i0, i1):
             dx = x0 + i * step - bx
             for j in range(j0, j1):
                 dy = y0 + j * step - by
                 room = radius * radius - dx * dx - dy * dy
                 if room > 0.0:
-                    z = bz - math.sqrt(room)
-                    if z < top[i, j]:
-                        top[i, j] = z
+                    top[i, j] = min(top[i, j], bz - math.sqrt(room))

@@ -118,8 +118,8 @@ def shadow_at(x: float, y: float, z: float, ball: Any, axis: Any, radius: float,
 
 @njit(cache=True, nogil=True, fastmath=True)
 def paint_drill(
-    row0: int, column0: int, eye: Any, hit: Any, ball: Any, axis: Any, radius: float, profile: Any, tint: Any, flutes: int,
-    turned_rad: float, turning: float, light: Any, ambient: float, gain: float, focus: Any, work: Any, mask: Any,
+    row0: int, column0: int, eye: Any, hit: Any, ball: Any, axis: Any, radius: float, profile: Any, tint: Any,
+    flutes: int, turned_rad: float, turning: float, light: Any, ambient: float, gain: float, focus: Any, work: Any, mask: Any,
 ) -> None:  # fmt: skip
     """Shadow and drill over ``work`` (h, w, 3), display values of the box that starts at (row0, column0).
 
@@ -151,6 +151,8 @@ def paint_drill(
     norm = math.sqrt(hx * hx + hy * hy + hz * hz)
     hx, hy, hz = hx / norm, hy / norm, hz / norm
     ball_px = radius * per_mm
+    # Share of the light on a level surface that comes straight from the lamp.
+    key = light[2] * (1.0 - ambient) / (ambient + light[2] * (1.0 - ambient))
     start = math.sqrt(max(0.0, radius * radius - profile[0, 1] * profile[0, 1]))
     start_px = start * along_px
     for r in range(work.shape[0]):
@@ -158,12 +160,7 @@ def paint_drill(
             x, y, z = hit[r + row0, c + column0, 0], hit[r + row0, c + column0, 1], hit[r + row0, c + column0, 2]
             gx, gy = c + column0 - bx, r + row0 - by
             away = math.sqrt(gx * gx + gy * gy)
-            dark = (
-                0.62
-                * (1.0 - ambient)
-                / (0.4 + 0.6 * (1.0 - ambient))
-                * shadow_at(x, y, z, ball, axis, radius, profile, light)
-            )
+            dark = key * shadow_at(x, y, z, ball, axis, radius, profile, light)
             if away < 4.0 * ball_px:
                 qd = math.sqrt((x - ball[0]) ** 2 + (y - ball[1]) ** 2 + (z - ball[2]) ** 2) - radius
                 dark = 1.0 - (1.0 - dark) * (1.0 - 0.35 * math.exp(-max(qd, 0.0) / 0.15))

@@ -169,11 +169,11 @@ class Machine:
             cutting *= NOMINAL_RPM / max(abs(speed_rpm), CUTS_ABOVE_RPM)
         angle = 2 * np.pi * (self.turns + (time_s - self.now_s) * speed_rpm / 60.0)
         ripple = math.sin(angle + self._phases[0]) + 0.5 * math.sin(2 * angle + self._phases[1])
-        noise = self._noise[(int(math.floor(time_s * 100.0 + 1e-6)) * 2654435761 >> 7) % self._noise.size]
+        noise = self._noise[(math.floor(time_s * 100.0 + 1e-6) * 2654435761 >> 7) % self._noise.size]
         drift = signal.torque_drift * time_s / 60.0
         wander = 0.3 * signal.torque_drift * math.sin(2 * np.pi * time_s / 47.0 + self._phases[2])
         share = signal.torque_noise * noise + signal.torque_ripple * ripple + drift + wander
-        return max(0.0, IDLE_TORQUE + cutting + NOMINAL_TORQUE * share)
+        return max(0.0, float(IDLE_TORQUE + cutting + NOMINAL_TORQUE * share))
 
     # What the pictures are made from.
 
@@ -213,7 +213,9 @@ class Machine:
     # What makers of training pictures call: no time passes, no force acts.
 
     def carve(self, path_xy_mm: npt.ArrayLike, depth_mm: npt.ArrayLike, *, closed: bool = True) -> None:
-        """Remove a kerf: the ball's lowest point runs along ``path_xy_mm`` (n, 2), ``depth_mm`` (n,) below the outer surface.
+        """Remove a kerf: the ball's lowest point runs along ``path_xy_mm`` (n, 2).
+
+        ``depth_mm``, one number or (n,), is measured down from the outer surface.
 
         A depth of zero or less leaves the bone untouched there. No harm to the membrane is recorded.
         """
@@ -263,8 +265,8 @@ class Machine:
     def completion_at(self, points_mm: npt.ArrayLike, *, search_mm: float = 0.0) -> Array:
         """Share of the local thickness removed at each (x, y) of ``points_mm`` (n, 2 or more).
 
-        With ``search_mm``, the greatest within that distance: the kerf's own centre line, where the trajectory's aim and
-        the tip differ.
+        With ``search_mm``, the greatest within that distance: the kerf's own centre line, where the trajectory's aim
+        and the tip differ.
         """
         xy = np.asarray(points_mm, float)[:, :2]
         offsets = _disc(search_mm)
@@ -277,7 +279,7 @@ class Machine:
             fitted_center, fitted_radius = self._fitted_ring()
             center = fitted_center if center_xy_mm is None else np.asarray(center_xy_mm, float)[:2]
             radius = fitted_radius if radius_mm is None else radius_mm
-            angles = np.arange(n) * (2 * np.pi / n)
+            angles = _round_angles(n)
             completion, remaining, depth = self._ring(center, radius, angles)
             freed = float(np.mean(remaining <= FREED_BELOW_MM))
             return Truth(
@@ -370,7 +372,7 @@ class Machine:
         if time_s - self._flap_checked_s > FLAP_PERIOD_S and len(self._path) > 50:
             self._flap_checked_s = time_s
             center, ring_radius = self._fitted_ring()
-            remaining = self._ring(center, ring_radius, np.arange(64) * (2 * np.pi / 64))[1]
+            remaining = self._ring(center, ring_radius, _round_angles(64))[1]
             self._freed = float(np.mean(remaining <= FREED_BELOW_MM))
 
     def _settle(self, volume_mm3: float, elapsed_s: float) -> None:
@@ -415,9 +417,14 @@ class Machine:
         return skull.completion_at(x[best], y[best]), remaining[best], depth
 
 
+def _round_angles(n: int) -> Array:
+    angles: Array = np.arange(n, dtype=float) * (2 * np.pi / n)
+    return angles
+
+
 def _disc(radius_mm: float) -> Array:
     if radius_mm <= 0.0:
         return np.zeros((1, 2))
     steps = np.linspace(-radius_mm, radius_mm, 2 * max(1, round(radius_mm / 0.03)) + 1)
     points = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    return points[np.hypot(*points.T) <= radius_mm + 1e-9]
+    return np.asarray(points[np.hypot(*points.T) <= radius_mm + 1e-9], float)

@@ -40,7 +40,7 @@ FLUTES_BLUR_ABOVE_RPM: Final = 1500.0
 
 @dataclass(frozen=True)
 class Labels:
-    """Where things are in the pictures: (2,) pixels in the left and in the right one, and whether they are seen there."""
+    """Where things are: (2,) pixels in the left and in the right picture, and whether each picture shows them."""
 
     ball_px: tuple[Array, Array]
     bregma_px: tuple[Array, Array]
@@ -162,7 +162,7 @@ class Microscope:
         return mask
 
     def completion_map_px(self, eye: Side = "left") -> Field:
-        """True completion (540, 960) of the bone that each pixel sees, as if the drill were away; NaN where it sees none."""
+        """True completion (540, 960) of the bone that each pixel sees, as if the drill were away; NaN without bone."""
         view = self._view(eye)
         skull = self.machine.skull
         out: Field = np.empty((HEIGHT_PX, WIDTH_PX), np.float32)
@@ -288,7 +288,10 @@ def _draw_spills(specimen: Specimen) -> list[_Spill]:
     rng = np.random.default_rng([specimen.seed, 606])
     spills = []
     mouse = specimen.kind == "mouse"
-    for liquid, count in (("saline", rng.poisson(3.0 * specimen.appearance.wetness)), ("blood", rng.poisson(0.8) * mouse)):
+    for liquid, count in (
+        ("saline", rng.poisson(3.0 * specimen.appearance.wetness)),
+        ("blood", rng.poisson(0.8) * mouse),
+    ):
         for _ in range(count):
             angle, reach = rng.uniform(0, 2 * np.pi), rng.uniform(0.8, 3.4)
             x = specimen.skull.center_mm[0] + reach * np.cos(angle)

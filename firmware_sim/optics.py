@@ -1,7 +1,8 @@
 """Where a point of {R} falls in each picture of the toed-in pair, and back along the ray.
 
 An eye looks along ``w``; ``u`` is right and ``v`` is up in its picture. Scale grows by ``perspective`` per 10 mm
-towards the eye. Left out: a true pinhole's 1/(1 - x) law (a line stands for it), tangential distortion, chromatic errors.
+towards the eye. Left out: a true pinhole's 1/(1 - x) law (a line stands for it), tangential distortion, chromatic
+errors.
 """
 
 import math

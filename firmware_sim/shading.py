@@ -57,7 +57,7 @@ def seen_bone(
 ) -> tuple[int, int, float]:
     """Cell and height of what a pixel sees where the uncut bone at its ray may be gone; row -1 off the grid."""
     x, y, z, depth = hit[r, c, 0], hit[r, c, 1], hit[r, c, 2], hit[r, c, 3]
-    i, j = int(round((x - x0) / step)), int(round((y - y0) / step))
+    i, j = round((x - x0) / step), round((y - y0) / step)
     if i < 2 or j < 2 or i >= top.shape[0] - 2 or j >= top.shape[1] - 2:
         return -1, -1, z
     if outer[i, j] - top[i, j] < 0.002:
@@ -74,7 +74,7 @@ def seen_bone(
         depth -= MARCH_MM
         x, y, z = point_at(eye, u, v, depth)
         previous_i, previous_j = i, j
-        i, j = int(round((x - x0) / step)), int(round((y - y0) / step))
+        i, j = round((x - x0) / step), round((y - y0) / step)
         if i < 2 or j < 2 or i >= top.shape[0] - 2 or j >= top.shape[1] - 2:
             return -1, -1, z
     return i, j, z
@@ -141,23 +141,35 @@ def shade(
                 ny = -(ground_z[si, sj + 1] - ground_z[si, sj - 1]) / (2 * sstep)
                 scale = 1.0 / math.sqrt(1 + nx * nx + ny * ny)
                 lit = ambient + (1 - ambient) * max(0.0, (nx * light[0] + ny * light[1] + light[2]) * scale)
-                red = colours[0, 0] * lit * (
-                    ground[si, sj, 0] * w00
-                    + ground[si, sj + 1, 0] * w01
-                    + ground[si + 1, sj, 0] * w10
-                    + ground[si + 1, sj + 1, 0] * w11
+                red = (
+                    colours[0, 0]
+                    * lit
+                    * (
+                        ground[si, sj, 0] * w00
+                        + ground[si, sj + 1, 0] * w01
+                        + ground[si + 1, sj, 0] * w10
+                        + ground[si + 1, sj + 1, 0] * w11
+                    )
                 )
-                green = colours[0, 1] * lit * (
-                    ground[si, sj, 1] * w00
-                    + ground[si, sj + 1, 1] * w01
-                    + ground[si + 1, sj, 1] * w10
-                    + ground[si + 1, sj + 1, 1] * w11
+                green = (
+                    colours[0, 1]
+                    * lit
+                    * (
+                        ground[si, sj, 1] * w00
+                        + ground[si, sj + 1, 1] * w01
+                        + ground[si + 1, sj, 1] * w10
+                        + ground[si + 1, sj + 1, 1] * w11
+                    )
                 )
-                blue = colours[0, 2] * lit * (
-                    ground[si, sj, 2] * w00
-                    + ground[si, sj + 1, 2] * w01
-                    + ground[si + 1, sj, 2] * w10
-                    + ground[si + 1, sj + 1, 2] * w11
+                blue = (
+                    colours[0, 2]
+                    * lit
+                    * (
+                        ground[si, sj, 2] * w00
+                        + ground[si, sj + 1, 2] * w01
+                        + ground[si + 1, sj, 2] * w10
+                        + ground[si + 1, sj + 1, 2] * w11
+                    )
                 )
             if open_share > 0.004:
                 i, j, z = seen_bone(eye, hit, r, c, outer, top, inner, membrane, x0, y0, step)
@@ -180,8 +192,8 @@ def shade(
                         # Does the kerf's own rim stand in the light?
                         for k in range(1, 6):
                             reach = 0.09 * k
-                            qi = i + int(round(reach * light[0] / light[2] / step))
-                            qj = j + int(round(reach * light[1] / light[2] / step))
+                            qi = i + round(reach * light[0] / light[2] / step)
+                            qj = j + round(reach * light[1] / light[2] / step)
                             if 0 <= qi < top.shape[0] and 0 <= qj < top.shape[1] and top[qi, qj] > z + reach + 0.01:
                                 shut *= 0.82
                                 break
@@ -252,7 +264,10 @@ def develop(box: tuple[int, int, int, int], linear: Any, sigma: Any, weights: An
 
 @njit(cache=True, nogil=True, fastmath=True)
 def expose(display: Any, row0: int, column0: int, noise: Any, offset: int, read: float, shot: float, out: Any) -> None:
-    """Noise and rounding of ``display``, whose first pixel is (row0, column0) of ``out``; the same pixel, the same noise."""
+    """Noise and rounding of ``display``, whose first pixel is (row0, column0) of ``out``.
+
+    A pixel has the same noise whichever box it is exposed with.
+    """
     mask = noise.shape[0] - 1
     for r in range(display.shape[0]):
         for c in range(display.shape[1]):

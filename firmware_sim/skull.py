@@ -56,8 +56,8 @@ class Grid:
 
     def coordinates(self) -> tuple[Array, Array]:
         """Rows' x (rows, 1) and columns' y (1, columns)."""
-        x = self.x0_mm + self.step_mm * np.arange(self.rows)
-        y = self.y0_mm + self.step_mm * np.arange(self.columns)
+        x: Array = self.x0_mm + self.step_mm * np.arange(self.rows, dtype=float)
+        y: Array = self.y0_mm + self.step_mm * np.arange(self.columns, dtype=float)
         return x[:, None], y[None, :]
 
     def sample(self, field: Field, x_mm: npt.ArrayLike, y_mm: npt.ArrayLike) -> Array:
@@ -115,18 +115,21 @@ class SurfaceShape:
         s, t = self.frame.st(x_mm, y_mm)
         shape = self._specimen.skull
         tilt = shape.tilt_deg
-        z = shape.center_mm[2] + t * np.tan(np.deg2rad(tilt.pitch)) + s * np.tan(np.deg2rad(tilt.roll))
+        z: Array = shape.center_mm[2] + t * np.tan(np.deg2rad(tilt.pitch)) + s * np.tan(np.deg2rad(tilt.roll))
         if self._heights is not None:
-            return z + _sample_map(self._heights, s, t, shape.grid_mm)
+            z = z + _sample_map(self._heights, s, t, shape.grid_mm)
+            return z
         radius = shape.radius_of_curvature_mm
         if self._specimen.kind == "eggshell":
-            return z - _sag(s, radius.lateral) - _sag(t, radius.rostrocaudal)
+            z = z - _sag(s, radius.lateral) - _sag(t, radius.rostrocaudal)
+            return z
         length = self.frame.half_length_mm
         along = _sag(t, radius.rostrocaudal)
         drop = PchipInterpolator(BEHIND_LAMBDA_MM, DROP_MM)(np.clip(-t - length, 0.0, 8.0))
         behind = _sag(np.minimum(-t, length), radius.rostrocaudal) + drop
         along = np.where(t < -length, np.maximum(along, behind), along)
-        return z - _sag(s, radius.lateral) - along
+        z = z - _sag(s, radius.lateral) - along
+        return z
 
 
 class Skull:
@@ -147,8 +150,8 @@ class Skull:
         highest = float(self.outer_z.max())
         if highest > HIGHEST_BONE_MM:
             raise ConfigError(
-                f"specimen [skull]: its highest bone is at z = {highest:.2f} mm of {{R}}; at most {HIGHEST_BONE_MM} mm is "
-                "allowed, because calibration moves freely above; lower center_mm or tilt less"
+                f"specimen [skull]: its highest bone is at z = {highest:.2f} mm of {{R}}; at most "
+                f"{HIGHEST_BONE_MM} mm is allowed, because calibration moves freely above; lower center_mm or tilt less"
             )
         self.inner_z: Field = self.outer_z - self._thickness(specimen)
         self.top_z: Field = self.outer_z.copy()
@@ -190,12 +193,11 @@ class Skull:
             return given.astype(np.float32)
         bound = shape.thickness_mm
         rng = np.random.default_rng([specimen.seed, 71])
-        waves = bound.waviness * smooth_noise(rng, self.outer_z.shape, self.grid.step_mm, 2.5)
-        trend = 0.0
+        thickness = bound.mean + bound.waviness * smooth_noise(rng, self.outer_z.shape, self.grid.step_mm, 2.5)
         if specimen.kind == "mouse":
             # Bone is thicker along the midline and thinner towards the temples.
-            trend = 0.03 * np.exp(-np.square(s / 0.8)) - 0.004 * np.abs(s)
-        return np.clip(bound.mean + waves + trend, bound.min, bound.max).astype(np.float32)
+            thickness = thickness + 0.03 * np.exp(-np.square(s / 0.8)) - 0.004 * np.abs(s)
+        return np.asarray(np.clip(thickness, bound.min, bound.max), np.float32)
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], step_mm: float, scale_mm: float) -> Field:
@@ -212,7 +214,8 @@ def _sag(distance_mm: Array, radius_mm: float) -> Array:
     near = np.minimum(np.abs(distance_mm), limit)
     beyond = np.abs(distance_mm) - near
     edge = np.sqrt(radius_mm**2 - limit**2)
-    return radius_mm - np.sqrt(radius_mm**2 - near**2) + beyond * limit / edge
+    sag: Array = radius_mm - np.sqrt(radius_mm**2 - near**2) + beyond * limit / edge
+    return sag
 
 
 def _read_map(key: str, path: Path) -> Field:
@@ -228,7 +231,10 @@ def _read_map(key: str, path: Path) -> Field:
 
 
 def _sample_map(values: Field, s_mm: Array, t_mm: Array, step_mm: float) -> Array:
-    """A map has its middle at the skull's origin, its first row at the nose, its columns towards the right; its rim goes on."""
+    """Values of a map: its middle at the skull's origin, its first row at the nose, its columns towards the right.
+
+    Its rim goes on outside.
+    """
     rows = (values.shape[0] - 1) / 2 - np.asarray(t_mm) / step_mm
     columns = (values.shape[1] - 1) / 2 + np.asarray(s_mm) / step_mm
     rows, columns = np.broadcast_arrays(rows, columns)

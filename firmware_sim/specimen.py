@@ -278,7 +278,9 @@ def _with_paths_from(specimen: Specimen, folder: Path) -> Specimen:
             continue
         found[table][key] = folder / path
         if not found[table][key].is_file():
-            raise ConfigError(f"specimen key {table}.{key}: no file {folder / path}; paths are relative to the specimen")
+            raise ConfigError(
+                f"specimen key {table}.{key}: no file {folder / path}; paths are relative to the specimen"
+            )
     return specimen.model_copy(
         update={
             "skull": specimen.skull.model_copy(update=found["skull"]),
