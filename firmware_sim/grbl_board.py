@@ -30,7 +30,7 @@ class GrblBoard:
         mechanics: Mechanics,
         *,
         dialect: Literal["gnea", "grblhal"],
-        settings: Mapping[str, float] = {},  # noqa: B006  (read only)
+        settings: Mapping[str, float] = {},
     ) -> None:
         self._mechanics = mechanics
         self._dialect = DIALECTS[dialect]
@@ -40,7 +40,7 @@ class GrblBoard:
         self._program = Program(self._dialect, memory, self._uart, mechanics.limit_switches, mechanics.probe_closed)
         self._run = self._program.run()
         self._now_s = 0.0
-        self._deaf_until_s = 0.0
+        self._sleeps_until_s: float | None = None
         self._something_happened = True
         self._tick_s = 0.0
         self._shown = (0.0, 0.0, 0.0)
@@ -84,10 +84,12 @@ class GrblBoard:
         if not self._something_happened:
             return math.inf
         program = self._program
-        at_s = max(self._deaf_until_s, program.blocked_until_s, self._uart.room_at_s(self._dialect.tx_size))
+        at_s = max(program.blocked_until_s, self._uart.room_at_s(self._dialect.tx_size))
+        if self._sleeps_until_s is not None:
+            return max(at_s, self._sleeps_until_s)
         poll_s = self._dialect.poll_s
-        if poll_s and at_s <= self._now_s:
-            return math.ceil(self._now_s / poll_s - 1e-6) * poll_s
+        if poll_s:
+            at_s = max(at_s, math.ceil(self._now_s / poll_s - 1e-6) * poll_s)
         return at_s
 
     def _step(self) -> None:
@@ -98,14 +100,9 @@ class GrblBoard:
         if program.stepper.running:
             self._turn_motors()
         if self._program_at_s() <= now_s:
-            self._something_happened = False
             was_running = program.stepper.running
-            wake_s = next(self._run)
-            if wake_s is not None:
-                self._deaf_until_s = wake_s
-                self._something_happened = True
-            elif program.blocked_until_s > now_s:
-                self._something_happened = True
+            self._sleeps_until_s = next(self._run)
+            self._something_happened = self._sleeps_until_s is not None or program.blocked_until_s > now_s
             if program.stepper.running and not was_running:
                 self._tick_s = now_s
 

@@ -1,13 +1,14 @@
 """What a line of G-code makes the machine do: moves, jogs, dwells, probing, homing."""
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from firmware_sim.grbl_gcode import UNSUPPORTED, GcodeError, Line, Point, read_line
+from firmware_sim.grbl_gcode import GcodeError, Line, Point, read_line
 from firmware_sim.grbl_planner import steps_of
 from firmware_sim.grbl_report import point_text
-from firmware_sim.grbl_states import Alarm, Flag, HomingPart, State, Waits
+from firmware_sim.grbl_states import Aborted, Alarm, Flag, HomingPart, State, Waits
 
 if TYPE_CHECKING:
     from firmware_sim.grbl_program import Program
@@ -40,8 +41,6 @@ def run_line(program: "Program", text: str) -> Waits:
         yield from program.wait_for_motion()
         program.flood = modal.flood
         program.report.overrides_changed(accessories=True)
-    if program.abort:
-        return
     if line.dwell_s is not None:
         yield from _dwell(program, line.dwell_s)
     _change_offsets(program, line)
@@ -75,8 +74,6 @@ def move(program: "Program", target: Point, line: Line, *, is_jog: bool = False)
         return
     while True:
         yield from program.realtime()
-        if program.abort:
-            return
         if program.planner.free > 0:
             break
         program.start_cycle_if_queued()
@@ -113,9 +110,7 @@ def _soft_limit(program: "Program") -> Waits:
         program.flags.add(Flag.HOLD)
         while True:
             yield from program.realtime()
-            if program.abort:
-                return
-            if program.state is State.IDLE:
+            if program.at_rest():
                 break
             yield None
     program.interrupt_reset()
@@ -126,10 +121,9 @@ def _soft_limit(program: "Program") -> Waits:
 def _dwell(program: "Program", duration_s: float) -> Waits:
     yield from program.wait_for_motion()
     end_s = program.now_s + duration_s
-    while program.now_s < end_s and not program.abort:
+    while program.now_s < end_s:
         yield from program.realtime()
-        if not program.abort:
-            yield min(program.now_s + _DWELL_STEP_S, end_s)
+        yield min(program.now_s + _DWELL_STEP_S, end_s)
 
 
 def _change_offsets(program: "Program", line: Line) -> None:
@@ -172,8 +166,7 @@ def _act(program: "Program", line: Line) -> Waits:
     action = line.action
     if action in {"G0", "G1"}:
         yield from move(program, line.target_mm, line)
-        if not program.abort:
-            program.position_mm = line.target_mm
+        program.position_mm = line.target_mm
     elif action in {"G28", "G30"}:
         if line.waypoint_mm is not None:
             yield from move(program, line.waypoint_mm, line)
@@ -217,8 +210,6 @@ def _probe(program: "Program", line: Line) -> Waits:
     away = line.action in {"G38.4", "G38.5"}
     must_touch = line.action in {"G38.2", "G38.4"}
     yield from program.wait_for_motion()
-    if program.abort:
-        return
     program.probe_succeeded = False
     program.probe_away = away
     if program.probe_closed() != away:
@@ -226,16 +217,11 @@ def _probe(program: "Program", line: Line) -> Waits:
         yield from program.realtime()
         return
     yield from move(program, line.target_mm, line)
-    if program.abort:
-        return
     program.probing = True
     program.flags.add(Flag.CYCLE_START)
     while True:
         yield from program.realtime()
-        if program.abort:
-            program.probing = False
-            return
-        if program.state is State.IDLE:
+        if program.at_rest():
             break
         yield None
     missed = program.probing
@@ -247,11 +233,12 @@ def _probe(program: "Program", line: Line) -> Waits:
             program.probe_mm = program.machine_mm
     else:
         program.probe_succeeded = True
-    yield from program.realtime()
+    with suppress(Aborted):  # the result is told before a reset is obeyed
+        yield from program.realtime()
     program.planner.reset()
     program.stepper.reset()
     program.idle_motors()
-    yield None
+    yield program.now_s
     program.planner_mm_from_motors()
     say_probe(program)
 
@@ -274,13 +261,11 @@ def home(program: "Program") -> Waits:
             return
     program.planner_mm_from_motors()
     yield from program.realtime()
-    if program.abort:
-        return
     program.homed = True
     program.report.homed_changed = True
     program.state = State.IDLE
     program.idle_motors()
-    yield None
+    yield program.now_s
     if program.dialect.name == "grblhal":
         program.say("[MSG:]")
     yield from program.run_startup_lines()

@@ -15,7 +15,7 @@ MINIMUM_SPEED = 1 / 60
 
 @dataclass(eq=False)
 class Block:
-    """A straight move of ``steps`` motor steps, ``length_mm`` long; ``remaining_mm`` is not yet prepared for the motors."""
+    """A straight move of ``steps`` motor steps; ``remaining_mm`` of its length is not yet prepared for the motors."""
 
     steps: STEPS
     length_mm: float

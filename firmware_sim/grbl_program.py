@@ -5,6 +5,7 @@ exactly where the real program spins or delays.
 """
 
 from collections.abc import Callable, Generator
+from contextlib import suppress
 
 from firmware_sim import grbl_commands, grbl_moves
 from firmware_sim.grbl_dialects import Dialect
@@ -13,7 +14,7 @@ from firmware_sim.grbl_overrides import Overrides
 from firmware_sim.grbl_planner import Planner
 from firmware_sim.grbl_report import Reporter
 from firmware_sim.grbl_settings import Settings
-from firmware_sim.grbl_states import Alarm, Flag, State, Suspend, Waits
+from firmware_sim.grbl_states import Aborted, Alarm, Flag, State, Suspend, Waits
 from firmware_sim.grbl_stepper import Stepper
 from firmware_sim.grbl_uart import Uart
 
@@ -59,7 +60,6 @@ class Program:
 
     def _begin(self) -> None:
         """Everything that a reset clears."""
-        self.abort = False
         self.suspend = Suspend()
         self.flags.clear()
         self.alarm = None
@@ -139,6 +139,10 @@ class Program:
         """The reply that every line gets."""
         self.say(f"error:{error}" if error else "ok")
 
+    def at_rest(self) -> bool:
+        """Nothing moves and nothing is suspended."""
+        return self.state is State.IDLE
+
     def idle_motors(self) -> None:
         """After motion the firmware lets the motors settle for ``$1`` ms, unless told to keep them on."""
         if self.dialect.idle_delay and self.settings[1] != 255 and self.state is not State.HOME:
@@ -188,18 +192,15 @@ class Program:
             self.stepper.reset()
             self.planner_mm_from_motors()
             self.idle_motors()
-            yield None
+            yield self.now_s
             self.say("\r\n" + self.dialect.banner)
-            yield from self._start()
-            while not self.abort:
-                yield from self._read_lines()
-                if self.abort:
-                    break
-                self.start_cycle_if_queued()
-                yield from self.realtime()
-                if self.abort:
-                    break
-                yield None
+            with suppress(Aborted):
+                yield from self._start()
+                while True:
+                    yield from self._read_lines()
+                    self.start_cycle_if_queued()
+                    yield from self.realtime()
+                    yield None
 
     def _start(self) -> Waits:
         if self.settings.flag(22) and self.locked_at_start:
@@ -229,15 +230,17 @@ class Program:
             if byte not in b"\r\n":
                 self._take(byte)
                 continue
-            yield from self.realtime()
-            if self.abort:
-                return
             yield self.now_s + self.dialect.line_cost_s
+            yield from self.realtime()
             text, overflow = self._line.decode("latin-1"), self._overflow
             self._line.clear()
             self._overflow = False
             self._comment = ""
-            yield from self._obey(text, overflow=overflow)
+            try:
+                yield from self._obey(text, overflow=overflow)
+            except Aborted:
+                self.answer(0)
+                raise
 
     def _take(self, byte: int) -> None:
         """One character of a line; blanks and comments are thrown away."""
@@ -288,14 +291,14 @@ class Program:
         self.start_cycle_if_queued()
         while True:
             yield from self.realtime()
-            if self.abort or not (self.planner.blocks or self.state is State.RUN):
+            if not (self.planner.blocks or self.state is State.RUN):
                 return
             yield None
 
     def realtime(self) -> Waits:
         """Look at the flags, and stay here while suspended."""
         yield from self._look_at_flags()
-        while self.suspend.active and not self.abort:
+        while self.suspend.active:
             yield from self._suspended()
             yield None
             yield from self._look_at_flags()
@@ -306,8 +309,7 @@ class Program:
         flags = self.flags
         if flags:
             if Flag.RESET in flags:
-                self.abort = True
-                return
+                raise Aborted
             if Flag.STATUS in flags:
                 flags.discard(Flag.STATUS)
                 self.report.status()
@@ -420,11 +422,17 @@ class Program:
 
     def _suspended(self) -> Waits:
         """The spindle stops while the door is open, and is back at speed before motion goes on."""
+        if self.state is State.SLEEP and self.suspend.complete and not self.suspend.told:
+            self.suspend.told = True
+            self.say("[MSG:Sleeping]")
+            self.set_spindle("M5", 0.0)
         if self.state is State.DOOR and self.suspend.complete:
             if not self.suspend.restoring:
-                if not self.spindle_stopped and self.spindle != "M5":
-                    self.spindle_stopped = True
+                if not self.suspend.told:
+                    self.suspend.told = True
+                    self.spindle_stopped = self.spindle != "M5"
                     self.set_spindle(self.spindle, self.modal.speed)
+                    self.report.overrides_changed(accessories=True)
                 return
             if self.spindle_stopped:
                 self.spindle_stopped = False

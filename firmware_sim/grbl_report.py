@@ -51,7 +51,9 @@ class Reporter:
         if mask & 2:
             parts.append(f"Bf:{program.planner.free},{program.uart.rx_free}")
         if not self._is_hal or mask & 16:
-            parts.append(f"FS:{self._feed():.0f},{program.spindle_rpm:.0f}")
+            feed = self._feed()
+            shown = int(feed + 1e-3) if self._is_hal else round(feed)
+            parts.append(f"FS:{shown},{program.spindle_rpm:.0f}")
         if not self._is_hal or mask & 32:
             pins = self._pins()
             if pins:
@@ -123,6 +125,8 @@ class Reporter:
         program = self._program
         busy = program.state.value in _BUSY
         parts = []
+        if not busy:
+            self._wco_in, self._overrides_in = min(self._wco_in, 10), min(self._overrides_in, 10)
         show_overrides = self._overrides_in == 0
         show_offset = self._wco_in == 0 and not show_overrides
         self._overrides_in = (19 if busy else 9) if show_overrides else self._overrides_in - 1

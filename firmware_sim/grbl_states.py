@@ -36,6 +36,10 @@ class Flag(Enum):
     SLEEP = auto()
 
 
+class Aborted(Exception):  # noqa: N818  (not an error: a reset takes the program back to its start)
+    """A reset has been asked for; the line in hand is still answered, with ok."""
+
+
 class Alarm(IntEnum):
     """Alarm codes."""
 
@@ -59,3 +63,5 @@ class Suspend:
         self.motion_cancel = False
         self.jog_cancel = False
         self.restoring = False
+        self.told = False
+        """What happens once at standstill (spindle off, a message) has happened."""

@@ -8,6 +8,7 @@ from firmware_sim.grbl_planner import Block, Planner
 
 SEGMENT_S = 0.01
 TICK_S = 0.002
+_KEPT_SEGMENTS = 2
 _TINY_MM = 1e-9
 
 
@@ -71,15 +72,15 @@ class Stepper:
         self._stale = True
 
     def drop_prepared(self) -> None:
-        """Take back all prepared segments but the one being played."""
+        """Take back all prepared segments but the one being played and the next."""
         planner = self._planner
-        while len(self._segments) > 1:
+        while len(self._segments) > _KEPT_SEGMENTS:
             segment = self._segments.pop()
             if not planner.blocks or planner.blocks[0] is not segment.block:
                 planner.blocks.appendleft(segment.block)
             segment.block.remaining_mm += self._length(segment)
         if self._segments:
-            current = self._segments[0]
+            current = self._segments[-1]
             current.block.remaining_mm = current.remaining_mm
             if current.remaining_mm > _TINY_MM and (not planner.blocks or planner.blocks[0] is not current.block):
                 planner.blocks.appendleft(current.block)
