@@ -20,6 +20,8 @@ NEAR_MM = 0.07
 """Start above the predicted contact, once the surface's error is known."""
 SIGMAS = 4.0
 TRAVEL_FEED_MM_S = 15.0
+SETTLE_S = 0.5
+"""After the run-up, until the drive's speed loop has come to rest."""
 BETWEEN_MM = 0.15
 """Lift before going to the next point."""
 APPROACH_FEED_MM_S = 2.0
@@ -98,7 +100,7 @@ class ContactFinder:
             if z < self.floor_z_mm:
                 raise PlanError(
                     f"point {index + 1}: no bone felt down to z = {self.floor_z_mm:.3f} mm, the lowest that the "
-                    "calibrated surface and the thickness prior permit; check that the drill turns and the surface is bone"
+                    "calibrated surface and the thickness prior permit; check that the drill turns, and that this is bone"
                 )
             if not self._loaded((x, y, z), FEED_MM_S):
                 touched_at = None
@@ -126,6 +128,7 @@ def measure_idle(hands: Hands, duration_s: float = 0.6) -> Idle:
     Raises:
         SafetyStop: the drive tells too little, or its torque wanders too much to feel bone by.
     """
+    hands.watch(SETTLE_S)
     torques: list[float] = []
 
     def hear(status: SpindleStatus) -> None:

@@ -91,6 +91,22 @@ class Hands:
             )
         return status
 
+    def settle(self) -> MotionStatus:
+        """Let the queue, which is short, run out.
+
+        Raises:
+            DeviceTimeoutError: it does not.
+        """
+        deadline_s = self.clock.now_s() + 1.0
+        while True:
+            self.beat()
+            status = self.motion.status()
+            if status.state is MotionState.IDLE and status.queued_s <= 0:
+                return status
+            if self.clock.now_s() > deadline_s:
+                raise DeviceTimeoutError(f"motion: still {status.state} 1 s after the last segment")
+            self.clock.sleep_s(_BEAT_S)
+
     def watch(self, duration_s: float) -> None:
         """Let time pass with signs of life."""
         until_s = self.clock.now_s() + duration_s
@@ -123,12 +139,15 @@ class Hands:
         self.recorder.event("spindle", state="at speed", speed_rpm=status.speed_rpm)
 
     def lift(self, height_mm: float) -> None:
-        """Flush what is queued, then straight up.
+        """Drop what is queued, then straight up.
 
         Raises:
             DeviceError: the controller does not answer, or its position is lost.
         """
-        position = self.motion.flush(timeout_s=0.5).position_mm
+        status = self.motion.status()
+        if status.state is not MotionState.IDLE or status.queued_s > 0:
+            status = self.motion.flush(timeout_s=0.5)
+        position = status.position_mm
         top = min(position[2] + height_mm, self.motion.travel.high_mm[2])
         self.motion.start_move((position[0], position[1], top), feed_mm_per_s=RETRACT_FEED_MM_S)
         deadline_s = self.clock.now_s() + 0.5

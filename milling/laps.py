@@ -149,6 +149,7 @@ class Laps:
                 self._write()
                 wrote = True
             if self._next - self._bitten > IDLE_LAPS * self._n * self._per_point:
+                self._follow(self._hands.settle())
                 return False
             if floor(self.laps) > told_lap:
                 told_lap = floor(self.laps)
@@ -157,6 +158,7 @@ class Laps:
                     raise SafetyStop(f"{told_lap} laps and still open points, allowed {self._job.max_laps} (max_laps)")
             if not wrote:
                 clock.sleep_s(_TICK_S)
+        self._follow(self._hands.settle())
         return True
 
     # Writing ahead.
@@ -262,7 +264,7 @@ class Laps:
     def _pause(self) -> None:
         """The eyes are late: out of the bone, wait for them, and go on where the tip was."""
         self._hands.recorder.event("state", state="paused", reason="no fresh frame")
-        self._follow(self._hands.motion.flush())
+        self._follow(self._hands.settle())
         self._hands.lift(LIFT_MM)
         waited_s = self._hands.clock.now_s()
         while not self._watch.glance(None):

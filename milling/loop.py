@@ -217,7 +217,6 @@ class _Run:
         if self.policy.guarded:
             self._tell("contact")
             self._find_contacts(ContactFinder(self.hands, idle, self._floor_mm))
-            self._set_floor(min(self.contact_z_mm) - self.job.thickness_high_mm - 0.01)
             meter = LoadMeter(
                 self.job.n_points,
                 idle,
