@@ -90,6 +90,7 @@ class MultipartStream:
         kind = self._response.headers.get("Content-Type", "")
         boundary = re.search(r'boundary="?([^";]+)"?', kind)
         if self._response.status != 200 or not kind.startswith("multipart/") or boundary is None:
+            self._response.close()
             raise ConnectionLostError(
                 f"{self._url}: answers {self._response.status} {kind or 'without a type'}, not a picture stream "
                 "(multipart/x-mixed-replace); correct the URL in the rig file"
