@@ -236,7 +236,7 @@ class GrblController(MotionController):
 
         Raises:
             OutOfTravelError: the floor is outside the travel or above the tip; nothing was written.
-            ConfigError: the machine's Z coordinates are positive, so that its travel cannot bound them from below.
+            ConfigError: Z homes at its low end.
         """
         session = self._session
         session.check()
@@ -303,10 +303,10 @@ class GrblController(MotionController):
 
     def _check_floor(self, z_mm: float) -> None:
         span = machine.span_of(2, {**self._settings, machine.FLOOR_SETTING: self._full_travel_mm}, self._info)
-        if not span.is_negative:
+        if span.homes_low:
             raise ConfigError(
-                f"{self._session.name}: Z homes at its low end with the origin there, so that its travel setting "
-                "bounds it from above only; let it home at the top ($23), or put the origin at the top"
+                f"{self._session.name}: setting ${machine.HOMING_DIRECTION} lets Z home at its low end, where its "
+                "travel setting moves the coordinates and not the floor; let Z home at the top"
             )
         low_mm, high_mm = span.low_mm - self._origin_mm[2], span.high_mm - self._origin_mm[2]
         if not low_mm <= z_mm < high_mm:
@@ -403,12 +403,13 @@ class GrblController(MotionController):
     def _status(self) -> MotionStatus:
         report = self._last_report()
         fault = self._session.fault
+        locked = "locked since power-up; home() releases" if report.state == "Alarm" else None
         return MotionStatus(
             state=MotionState.ALARM if fault else self._motion_state(report),
             position_mm=self._robot_mm(report.machine_mm),
             queued_s=self._queue.duration_s(report.machine_mm, standing=report.state == "Idle"),
             time_s=self._session.report_time_s,
-            alarm=fault.words if fault else None,
+            alarm=fault.words if fault else locked,
         )
 
     def _motion_state(self, report: protocol.Report) -> MotionState:

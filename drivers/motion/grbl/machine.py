@@ -26,18 +26,17 @@ Settings = Mapping[int, float]
 
 @dataclass(frozen=True)
 class Span:
-    """What soft limits allow on one axis, in machine coordinates."""
+    """Where one axis may go, in machine coordinates."""
 
     low_mm: float
     high_mm: float
-    margin_mm: float
-    """grblHAL keeps this distance from the switches while hard limits are on."""
-    is_negative: bool
-    """Whether the travel setting moves the low end, as it does wherever the coordinates are negative."""
+    low_margin_mm: float
+    """What the firmware takes off the low end of the travel."""
+    homes_low: bool
 
     def travel_for(self, low_mm: float) -> float:
-        """The travel setting that puts the low end at ``low_mm``."""
-        return self.margin_mm - low_mm
+        """The travel setting that puts the low end of an axis that homes high at ``low_mm``."""
+        return self.low_margin_mm - low_mm
 
 
 def number_of(name: str) -> int:
@@ -108,22 +107,27 @@ def report_mask_to_write(settings: Settings, info: BuildInfo) -> int | None:
 
 
 def span_of(axis: int, settings: Settings, info: BuildInfo) -> Span:
-    """The soft limits of one axis after homing.
+    """Where one axis may go after homing: inside the soft limits, and with hard limits on not onto its switch.
 
-    The coordinates end at zero at the positive end, wherever the switch is ($23), unless the firmware was told to put
-    its origin where it homes and it homes at the negative end: then they begin at zero.
+    Coordinates end at zero at the high end, wherever the switch is ($23), unless the firmware was told to put its
+    origin where it homes and it homes low: then they begin at zero. With hard limits on, grblHAL itself keeps the
+    pull-off distance from the ends; 1.1h does not, and would run onto the switch.
     """
     travel_mm = settings[MAX_TRAVEL + axis]
     homes_low = bool(int(settings.get(HOMING_DIRECTION, 0)) >> axis & 1)
+    margin_mm = settings.get(PULL_OFF, 0.0) if int(settings.get(HARD_LIMITS, 0)) & 1 else 0.0
     if info.is_hal:
-        at_home = bool(int(settings[HOMING]) & _HAL_ORIGIN_AT_HOME)
-        margin_mm = settings.get(PULL_OFF, 0.0) if int(settings.get(HARD_LIMITS, 0)) & 1 else 0.0
-    else:
-        at_home = _GNEA_ORIGIN_AT_HOME in info.options
-        margin_mm = 0.0
-    if at_home and homes_low:
-        return Span(0.0, travel_mm - margin_mm, margin_mm, is_negative=False)
-    return Span(margin_mm - travel_mm, 0.0 if at_home else -margin_mm, margin_mm, is_negative=True)
+        if not int(settings[HOMING]) & _HAL_ORIGIN_AT_HOME:
+            return Span(margin_mm - travel_mm, -margin_mm, margin_mm, homes_low)
+        if homes_low:
+            return Span(0.0, travel_mm - margin_mm, 0.0, homes_low)
+        return Span(margin_mm - travel_mm, 0.0, margin_mm, homes_low)
+    if _GNEA_ORIGIN_AT_HOME in info.options:
+        # Zero is where the axis stands after the pull-off.
+        return Span(0.0, travel_mm, 0.0, homes_low) if homes_low else Span(-travel_mm, 0.0, 0.0, homes_low)
+    if homes_low:
+        return Span(margin_mm - travel_mm, 0.0, 0.0, homes_low)
+    return Span(-travel_mm, -margin_mm, 0.0, homes_low)
 
 
 def homing_timeout_s(settings: Settings) -> float:

@@ -76,7 +76,7 @@ class Feedback:
 
 @dataclass(frozen=True)
 class Startup:
-    """``>line:ok``: a stored startup line was executed."""
+    """A stored startup line: as listed by ``$N``, or as executed at a reset, ``>line:ok``."""
 
     text: str
 
@@ -106,6 +106,7 @@ _BANNER = re.compile(r"(grbl|grblhal) (\d+\.\d+\w?) \[.*\]", re.IGNORECASE)
 _SETTING = re.compile(r"\$(\d{1,4})=(.*)")
 _CODE = re.compile(r"(error|ALARM):(\d{1,3})")
 _FEEDBACK = re.compile(r"\[([^:\]]+)(?::(.*))?\]")
+_STARTUP = re.compile(r"\$N\d=(.*)|>(.*):(?:ok|error:\d{1,3})")
 _STATE = re.compile(r"([A-Z][a-z]+)(?::(\d{1,2}))?")
 _NUMBER = re.compile(r"-?\d{1,5}\.\d{1,4}")
 
@@ -129,8 +130,8 @@ def parse_line(line: str) -> Message:
         return Feedback(found[1], found[2] or "")
     if found := _BANNER.fullmatch(line):
         return Welcome(found[2], is_hal=found[1].lower() == "grblhal")
-    if line.startswith(">") and (":ok" in line or ":error" in line):
-        return Startup(line[1:])
+    if found := _STARTUP.fullmatch(line):
+        return Startup(found[1] or found[2] or "")
     raise ProtocolError(f"{line!r} is no line of GRBL 1.1")
 
 

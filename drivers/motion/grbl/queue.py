@@ -38,7 +38,7 @@ class BlockQueue:
 
     def keep_newest(self, count: int) -> None:
         """The controller has ``count`` blocks left, and it executes the oldest first."""
-        while len(self._blocks) > count:
+        while len(self._blocks) > max(0, count):
             self._blocks.popleft()
 
     def clear(self) -> None:

@@ -19,8 +19,8 @@ REPLY_S = 0.2
 BROKEN_REPORT_S = 0.25
 """After a broken report the wire is left alone this long before the next query."""
 MISSED_REPLIES = 3
-QUIET_S = 0.1
-"""Silence after a banner; grblHAL may print a second one, and both print what unlocks them."""
+QUIET_S = 0.05
+"""Silence after which a controller that was reset has said what it had to say."""
 BANNER_S = 2.5
 """A reset in motion takes 1.1h half a second, an Arduino that DTR resets two seconds."""
 _PUMP_S = 0.05
@@ -155,14 +155,18 @@ class GrblSession:
         return list(self._replies)
 
     def query(self) -> protocol.Report:
-        """A fresh status report.
+        """A fresh status report, or the last one when a fault latches instead.
 
         Raises:
             DeviceTimeoutError: three queries without a reply.
             ProtocolError: one broken report is forgiven, a second in a row is not.
         """
+        fault = self.fault
         for _ in range(MISSED_REPLIES):
             report = self.try_query()
+            if report is None and self.fault is not fault:
+                # 1.1h answers no query in an alarm.
+                report = self.report
             if report is not None:
                 return report
         raise DeviceTimeoutError(
@@ -174,10 +178,10 @@ class GrblSession:
         """One query; None without a whole report in time."""
         # What was said before the question is no answer to it.
         self.pump(0.0)
-        seen, strikes = self._reports, self._strikes
+        seen, strikes, fault = self._reports, self._strikes, self.fault
         self.urgent(protocol.STATUS)
         asked_s = self._clock.now_s()
-        self.pump_until(lambda: self._reports > seen or self._strikes > strikes, REPLY_S)
+        self.pump_until(lambda: self._reports > seen or self._strikes > strikes or self.fault is not fault, REPLY_S)
         if self._reports > seen:
             return self.report
         if self._strikes > strikes:
@@ -205,12 +209,9 @@ class GrblSession:
                 f"{self.name}: no GRBL banner within {2 * BANNER_S:g} s of two resets; is this the motion controller, "
                 f"at {protocol.BAUD} baud? `mill devices` lists what is connected"
             )
-        quiet_since_s = self._clock.now_s()
-        while self._clock.now_s() - quiet_since_s < QUIET_S:
-            heard = len(self._replies)
-            self.pump(QUIET_S)
-            if len(self._replies) > heard:
-                quiet_since_s = self._clock.now_s()
+        # grblHAL may print its banner twice. Whatever it still has to say comes before it answers a question.
+        self._wait_for_quiet()
+        self.query()
         self._expects_banner = False
         self._unacknowledged.clear()
         self._strikes = 0
@@ -230,6 +231,12 @@ class GrblSession:
         """Give the line back."""
         self._lost = self._lost or f"{self.name}: the controller was closed; open it again"
         self._line.close()
+
+    def _wait_for_quiet(self) -> None:
+        heard = -1
+        while len(self._replies) > heard:
+            heard = len(self._replies)
+            self.pump(QUIET_S)
 
     def _take(self, message: protocol.Message) -> None:
         self._replies.append(message)

@@ -1,0 +1,252 @@
+"""Motion controllers with what hangs on their wires, for the conformance tests."""
+
+import contextlib
+import os
+import select
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from drivers.clock import Clock, SystemClock
+from drivers.motion.grbl.driver import GrblController
+from drivers.motion.interface import MotionController, Vector
+from drivers.motion.serial_line import open_serial
+from drivers.motion.transport import SerialLine
+from firmware_sim.clock import SimClock
+from firmware_sim.grbl_board import GrblBoard
+from firmware_sim.lines import InProcessLine
+
+Dialect = Literal["gnea", "grblhal"]
+
+ORIGIN_MM: Vector = (-25.0, -10.0, -20.0)
+MAX_FEED_MM_PER_S = 40.0
+SETTINGS = {
+    "$10": 3,
+    "$20": 1,
+    "$21": 1,
+    "$22": 1,
+    "$23": 0,
+    "$24": 600,
+    "$25": 2400,
+    "$26": 5,
+    "$27": 0.5,
+    "$130": 35,
+    "$131": 40,
+    "$132": 28,
+} | {f"${first + axis}": value for first, value in ((100, 1000), (110, 2400), (120, 2000)) for axis in range(3)}
+
+
+def settings_for(dialect: Dialect) -> dict[str, float]:
+    return {key: value for key, value in SETTINGS.items() if dialect == "gnea" or key != "$10"}
+
+
+class Axes:
+    """Three axes whose home switches are 1 mm up from where they stood at power-up, and a hand to press one."""
+
+    def __init__(self) -> None:
+        self.axes_mm: Vector = (0.0, 0.0, 0.0)
+        self.pressed = False
+
+    def move_to(self, time_s: float, axes_mm: Vector) -> None:
+        self.axes_mm = axes_mm
+
+    def limit_switches(self) -> tuple[bool, bool, bool]:
+        x, y, z = (value >= 1.0 for value in self.axes_mm)
+        return (x or self.pressed, y, z)
+
+    def probe_closed(self) -> bool:
+        return False
+
+
+@dataclass
+class Wire:
+    """What reached the other end of the wire, and when, on the clock of the controller."""
+
+    now_s: Callable[[], float]
+    heard: list[tuple[float, bytes]] = field(default_factory=list)
+
+    def hear(self, data: bytes) -> None:
+        self.heard.append((self.now_s(), data))
+
+    @property
+    def lines(self) -> bytes:
+        """Everything but status queries."""
+        return b"".join(data for _, data in self.heard).replace(b"?", b"")
+
+
+@dataclass
+class MotionBench:
+    """A controller fresh from its constructor. ``reopen`` makes another one on the same board."""
+
+    controller: MotionController
+    clock: Clock
+    reopen: Callable[[], MotionController]
+    wire: Wire
+    axes: Axes
+    inject: Callable[[bytes], None]
+    """Puts bytes on the wire that are not the driver's."""
+    during_wait: Callable[[Callable[[], None]], None]
+    """Has a second thread call something while the first one waits for the controller."""
+    cut: Callable[[], None]
+    """Takes the other side of the wire away."""
+
+
+class TappedLine:
+    """A line that tells the bench what is written, and lets it act while somebody reads."""
+
+    def __init__(self, line: SerialLine, wire: Wire) -> None:
+        self._line = line
+        self._wire = wire
+        self.on_read: Callable[[], None] | None = None
+
+    @property
+    def name(self) -> str:
+        return self._line.name
+
+    def write(self, data: bytes) -> None:
+        self._wire.hear(data)
+        self._line.write(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        if timeout_s > 0 and self.on_read is not None:
+            action, self.on_read = self.on_read, None
+            action()
+        return self._line.read(timeout_s)
+
+    def close(self) -> None:
+        self._line.close()
+
+
+def grbl(line: SerialLine, clock: Clock) -> GrblController:
+    return GrblController(
+        line,
+        clock,
+        origin_mm=ORIGIN_MM,
+        max_feed_mm_per_s=MAX_FEED_MM_PER_S,
+        expected_settings={"$130": 35, "$131": 40, "$132": 28},
+    )
+
+
+@contextlib.contextmanager
+def in_process_bench(dialect: Dialect) -> Iterator[MotionBench]:
+    """The board on a virtual clock."""
+    clock = SimClock()
+    axes = Axes()
+    board = GrblBoard(axes, dialect=dialect, settings=settings_for(dialect))
+    clock.attach(board.advance_to)
+    wire = Wire(clock.now_s)
+    lines: list[TappedLine] = []
+
+    def reopen() -> MotionController:
+        lines.append(TappedLine(InProcessLine(board, clock), wire))
+        return grbl(lines[-1], clock)
+
+    def during_wait(action: Callable[[], None]) -> None:
+        def in_second_thread() -> None:
+            thread = threading.Thread(target=action)
+            thread.start()
+            # The first thread stands in the middle of a read, so that an action that waits for it never ends.
+            thread.join(5.0)
+            assert not thread.is_alive()
+
+        lines[-1].on_read = in_second_thread
+
+    controller = reopen()
+    bench = MotionBench(controller, clock, reopen, wire, axes, board.receive, during_wait, cut=lines[-1].close)
+    with contextlib.closing(controller):
+        yield bench
+
+
+class PtyBoard:
+    """The board behind a pty, in real time, on a thread of its own."""
+
+    def __init__(self, board: GrblBoard) -> None:
+        self._board = board
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._master)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+        self.wire = Wire(time.monotonic)
+        self._lock = threading.Lock()
+        self._started_s = time.monotonic()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def inject(self, data: bytes) -> None:
+        with self._lock:
+            self._board.receive(data)
+
+    def close(self) -> None:
+        if not self._stop.is_set():
+            self._stop.set()
+            self._thread.join(5.0)
+            os.close(self._slave)
+            os.close(self._master)
+
+    def _serve(self) -> None:
+        while not self._stop.is_set():
+            readable = select.select([self._master], [], [], 0.001)[0]
+            with self._lock:
+                if readable:
+                    data = os.read(self._master, 4096)
+                    self.wire.hear(data)
+                    self._board.advance_to(time.monotonic() - self._started_s)
+                    self._board.receive(data)
+                self._board.advance_to(time.monotonic() - self._started_s)
+                if out := self._board.transmit():
+                    os.write(self._master, out)
+
+
+@contextlib.contextmanager
+def pty_bench(dialect: Dialect) -> Iterator[MotionBench]:
+    """The board behind a pty and pyserial, in real time."""
+    axes = Axes()
+    clock = SystemClock()
+    threads: list[threading.Thread] = []
+    with contextlib.closing(PtyBoard(GrblBoard(axes, dialect=dialect, settings=settings_for(dialect)))) as board:
+
+        def reopen() -> MotionController:
+            return grbl(open_serial(board.path, 115_200), clock)
+
+        def during_wait(action: Callable[[], None]) -> None:
+            threads.append(threading.Timer(0.1, action))
+            threads[-1].start()
+
+        controller = reopen()
+        bench = MotionBench(controller, clock, reopen, board.wire, axes, board.inject, during_wait, cut=board.close)
+        with contextlib.closing(controller):
+            yield bench
+        for thread in threads:
+            thread.join(5.0)
+
+
+@contextlib.contextmanager
+def rig_file_bench(rig_file: Path) -> Iterator[MotionBench]:
+    """The controller of a rig file; its wire cannot be looked at."""
+    from cli.config import load_rig
+    from cli.rig import WiredRig
+
+    clock = SystemClock()
+    rig = WiredRig(load_rig(rig_file), clock)
+    threads: list[threading.Thread] = []
+
+    def during_wait(action: Callable[[], None]) -> None:
+        threads.append(threading.Timer(0.1, action))
+        threads[-1].start()
+
+    def not_here(*_: object) -> None:
+        raise AssertionError("a test that looks at the wire asks for motion_wire_bench")
+
+    controller = rig.open_motion()
+    bench = MotionBench(
+        controller, clock, rig.open_motion, Wire(clock.now_s), Axes(), not_here, during_wait, cut=not_here
+    )
+    with contextlib.closing(controller):
+        yield bench
+    for thread in threads:
+        thread.join(5.0)
