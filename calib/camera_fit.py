@@ -24,11 +24,16 @@ from drivers.errors import CalibrationError
 EYE_MODELS = {"affine": 8, "perspective": 9, "radial": 10}
 """Parameters that each model frees in each eye."""
 MIN_SETPOINTS = 5
+_MIN_MOTION_PX = 5.0
+"""RMS extent, across the direction of most motion, that the drill must show in each picture."""
+_MIN_DISPARITY_PX_PER_MM = 0.5
+"""Less, and both pictures show the same view; the paper's microscope has 6.4."""
 _SIMPLER_WITHIN = 1.05
 """A simpler model is kept while its held-out error is within this factor of the best."""
 _OUTLIER_SIGMAS = 6.0
 _OUTLIER_FLOOR_PX = 1.0
-_READMISSIONS = 3
+_SURE_SHARE = 0.6
+_READMISSIONS = 5
 _MAX_OUTLIER_SHARE = 0.25
 _PRIOR_DOF = 4.0
 """Weight, in degrees of freedom, of the detector's own sigma against that of the residuals."""
@@ -75,10 +80,12 @@ def fit_camera_pair(
         CalibrationError: too few or coplanar setpoints, swapped or mirrored pictures, or too many outliers.
     """
     _require_spread(points_mm)
+    _require_motion(left_px, right_px)
     optics = optics_of(points_mm, size_px)
     used = _inliers(optics, points_mm, left_px, right_px, detector_sigma_px)
     points, left, right = points_mm[used], left_px[used], right_px[used]
     _require_spread(points)
+    handedness = check_handedness(_fit_pair("affine", optics, points, left, right, detector_sigma_px))
 
     held_out: dict[str, Array] = {}
     if (linear := _linear_candidate(points, left, right)) is not None:
@@ -87,6 +94,10 @@ def fit_camera_pair(
         if 2 * (len(points) - 1) >= n_free + 1:
             held_out[model] = _leave_one_out(model, optics, points, left, right)
     candidates = {name: _rms(errors) for name, errors in held_out.items() if np.isfinite(errors).all()}
+    if not candidates:
+        raise CalibrationError(
+            "calibration: without one setpoint or another the rest lie in one plane; spread more over the box"
+        )
     best = min(candidates.values())
     model = next(name for name, rmse in candidates.items() if rmse <= _SIMPLER_WITHIN * best)
 
@@ -96,7 +107,7 @@ def fit_camera_pair(
         pair = _fit_pair(model, optics, points, left, right, detector_sigma_px)
     leave_one_out = np.linalg.norm(pair.points_from_pixels(left_px, right_px)[0] - points_mm, axis=1)
     leave_one_out[used] = held_out[model]
-    return _report(pair, model, candidates, used, leave_one_out, points_mm, left_px, right_px, check_handedness(pair))
+    return _report(pair, model, candidates, used, leave_one_out, points_mm, left_px, right_px, handedness)
 
 
 def fit_paper(
@@ -109,6 +120,7 @@ def fit_paper(
     Raises:
         CalibrationError: fewer than three or collinear setpoints, or a mirrored picture.
     """
+    _require_motion(left_px, right_px)
     optics = optics_of(points_mm, size_px)
     fit = fit_rigid(PAPER_MODEL.points_from_pixels(left_px, right_px), points_mm, source="Mi", target="R")
     pair = embed(PAPER_MODEL, fit, optics, left_px, right_px, points_mm, detector_sigma_px)
@@ -134,7 +146,13 @@ def check_handedness(pair: CameraPair) -> str:
         raise CalibrationError(
             f"handedness: the {mirrored[0]} picture is mirrored and the other is not; undo the mirror of that camera"
         )
-    if pair.left[4] - pair.right[4] < 0.0:
+    disparity_px_per_mm = pair.left[4] - pair.right[4]
+    if abs(disparity_px_per_mm) < _MIN_DISPARITY_PX_PER_MM:
+        raise CalibrationError(
+            f"handedness: 1 mm of height moves points by {disparity_px_per_mm:.2f} px between the pictures, at least "
+            f"{_MIN_DISPARITY_PX_PER_MM} px needed: left and right show the same view; check both in the rig file"
+        )
+    if disparity_px_per_mm < 0.0:
         raise CalibrationError(
             "handedness: height moves points the wrong way between the pictures; the cameras are swapped "
             "(or both pictures are turned by 180 degrees): exchange left and right in the rig file"
@@ -248,29 +266,31 @@ def _linear_candidate(points: Array, left: Array, right: Array) -> LandmarkFit |
 
 
 def _inliers(optics: Optics, points: Array, left: Array, right: Array, detector_sigma_px: float) -> Array:
-    """(n,) bool: the three quarters that agree best, and all setpoints that a fit to these predicts.
+    """(n,) bool: the setpoints that agree best, and all that a fit to these predicts.
 
-    The richest model that the number of setpoints supports judges, or else missing terms would look like outliers.
+    The richest model that the number of setpoints supports is the judge, or else missing terms would look like
+    outliers; with too few setpoints for perspective none is left out, and the held-out error tells.
     """
     n = len(points)
-    n_sure = n - int(_MAX_OUTLIER_SHARE * n)
-    models = [name for name, free in EYE_MODELS.items() if 2 * n_sure >= free + 4]
-    if not models:
+    n_sure = int(np.ceil(_SURE_SHARE * n))
+    allowed = int(_MAX_OUTLIER_SHARE * n)
+    judges = [name for name in ("perspective", "radial") if 2 * n_sure >= EYE_MODELS[name] + 4]
+    if not judges:
         return np.ones(n, dtype=bool)
-    misfit = np.hstack([_robust_residuals(models[-1], optics, points, pixels) for pixels in (left, right)])
+    misfit = np.hstack([_robust_residuals(judges[-1], optics, points, pixels) for pixels in (left, right)])
     used = np.zeros(n, dtype=bool)
     used[np.argsort((misfit**2).sum(axis=1))[:n_sure]] = True
     for _ in range(_READMISSIONS):
-        pair = _fit_pair(models[-1], optics, points[used], left[used], right[used], detector_sigma_px)
+        pair = _fit_pair(judges[-1], optics, points[used], left[used], right[used], detector_sigma_px)
         misfit = np.hstack([left, right]) - np.hstack(pair.project(points))
         whitened = np.linalg.solve(pair.pixel_covariance_at(points), misfit[:, :, None])[:, :, 0]
         near = np.linalg.norm(misfit, axis=1) <= _OUTLIER_FLOOR_PX
         used = near | ((misfit * whitened).sum(axis=1) <= _OUTLIER_SIGMAS**2)
-        if (~used).sum() > n - n_sure:
+        if (~used).sum() > allowed:
             names = ", ".join(str(tuple(float(v) for v in p)) for p in points[~used])
             raise CalibrationError(
                 f"calibration: {(~used).sum()} of {n} setpoints disagree with the others ({names} mm), at most "
-                f"{n - n_sure} allowed; look at their pictures, clean the optics, check that nothing slips"
+                f"{allowed} allowed; look at their pictures, clean the optics, check that nothing slips"
             )
     return used
 
@@ -313,6 +333,16 @@ def _require_spread(points: Array) -> None:
             f"calibration: the setpoints lie within {spread[2]:.3f} mm (RMS) of one plane, at least {MIN_SPREAD_MM} mm "
             "needed: scale, shear and handedness off that plane would be unobserved; add setpoints at another height"
         )
+
+
+def _require_motion(left: Array, right: Array) -> None:
+    for name, pixels in (("left", left), ("right", right)):
+        extent = np.linalg.svd(pixels - pixels.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(pixels))
+        if not extent >= _MIN_MOTION_PX:
+            raise CalibrationError(
+                f"calibration: the robot moved and the drill stayed within {extent:.1f} px (RMS) of one place or line in "
+                f"the {name} picture, at least {_MIN_MOTION_PX:g} px needed: frozen picture, or not the drill that is seen"
+            )
 
 
 def _sigma_px(residuals: Array, n_parameters: int, detector_sigma_px: float) -> float:

@@ -81,7 +81,7 @@ class CameraPair:
     covariance: Array
     """(24, 24) of left and right parameters; zero where a model keeps a parameter fixed."""
     sigma_px: float
-    """1-sigma of one pixel coordinate, as the fit's residuals show it."""
+    """1-sigma of one pixel coordinate of one sighting (the median of a setpoint's frames), as the residuals show it."""
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[Array, Array]:
         """Pixels (n, 2) in the left and in the right picture of points (n, 3) in {R}."""
