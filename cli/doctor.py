@@ -75,7 +75,8 @@ def doctor(
 def _show(console: Any, check: Check) -> None:
     value = f"{check.value:.4g}" if isinstance(check.value, float) else check.value
     mark = "[green]pass[/]" if check.passed else "[bold red]FAIL[/]"
-    console.print(f"{mark}  {check.name:<34} {value} {check.unit:<6} [dim]{check.limit}[/]", highlight=False)
+    line = f"{mark}  {check.name:<34} {value} {check.unit:<6} [dim]{check.limit}[/]"
+    console.print(line, highlight=False, soft_wrap=True)
 
 
 def _at_most(name: str, value: float, limit: float, unit: str) -> Check:

@@ -70,7 +70,8 @@ def _lines(console: Console) -> Told:
         line = f"{now.stage}: {now.detail}" if now.detail else now.stage
         if now.completion:
             through = sum(state == "done" for state in now.state)
-            line = f"{now.stage}: {100 * mean(now.completion):.0f} % of the bone, {through} of {len(now.state)} points done"
+            share = f"{100 * mean(now.completion):.0f} % of the bone"
+            line = f"{now.stage}: {share}, {through} of {len(now.state)} points done"
         if [line] != last:
             last[:] = [line]
             console.print(line, highlight=False, soft_wrap=True)
