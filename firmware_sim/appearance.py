@@ -336,5 +336,5 @@ def _mix(below: Array | Field, above: Array | Field, share: Field) -> Array:
     return np.asarray(below + (above - below) * share[..., None], float)
 
 
-def _f32(values: Array | Field) -> Field:
+def _f32(values: npt.ArrayLike) -> Field:
     return np.ascontiguousarray(values, dtype=np.float32)

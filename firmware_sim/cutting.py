@@ -39,8 +39,8 @@ def mill_step(
     ``volume * upward share = capacity * stiffness * d``, with ``capacity`` in mm^3 per N (0: the ball only pushes).
 
     Returns:
-        deflection, removed volume in mm^3, depth below the membrane (negative: above it), its row and column, and the
-        box of changed cells (first row, past the last, first column, past the last).
+        deflection, removed volume in mm^3, depth below the membrane (far below zero where it is not reached), its row
+        and column, and the box of changed cells (first row, past the last, first column, past the last).
     """
     bx, by, bz = ball
     i0 = max(0, math.ceil((bx - radius - x0) / step))
@@ -59,20 +59,22 @@ def mill_step(
             room = radius * radius - dx * dx - dy * dy
             if room <= 0.0:
                 continue
-            height = math.sqrt(room)
-            z = bz - height
-            deep = membrane[i, j] - z
-            if deep > below:
-                below = deep
-                below_i = i
-                below_j = j
-            over = top[i, j] - z
-            if over > 0.0 and count < cells.shape[0]:
+            # Without a root for the many cells that the ball does not reach.
+            gap = bz - membrane[i, j]
+            if gap < 0.0 or gap * gap < room:
+                deep = math.sqrt(room) - gap
+                if deep > below:
+                    below = deep
+                    below_i = i
+                    below_j = j
+            gap = bz - top[i, j]
+            if (gap < 0.0 or gap * gap < room) and count < cells.shape[0]:
+                height = math.sqrt(room)
                 cells[count, 0] = i
                 cells[count, 1] = j
-                overlap[count] = over
+                overlap[count] = height - gap
                 upward[count] = height / radius
-                pressed = max(pressed, over * height / radius)
+                pressed = max(pressed, (height - gap) * height / radius)
                 count += 1
     if count == 0:
         return 0.0, 0.0, below, below_i, below_j, 0, 0, 0, 0

@@ -119,7 +119,8 @@ def shadow_at(x: float, y: float, z: float, ball: Any, axis: Any, radius: float,
 @njit(cache=True, nogil=True, fastmath=True)
 def paint_drill(
     row0: int, column0: int, eye: Any, hit: Any, ball: Any, axis: Any, radius: float, profile: Any, tint: Any,
-    flutes: int, turned_rad: float, turning: float, light: Any, ambient: float, gain: float, focus: Any, work: Any, mask: Any,
+    flutes: int, turned_rad: float, turning: float, light: Any, ambient: float, gain: float, focus: Any,
+    work: Any, mask: Any,
 ) -> None:  # fmt: skip
     """Shadow and drill over ``work`` (h, w, 3), display values of the box that starts at (row0, column0).
 

@@ -15,7 +15,6 @@ place), scalp and muscle as obstacles, end stops that cost steps. Heat is one lu
 import math
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -23,8 +22,9 @@ import numpy.typing as npt
 
 from firmware_sim.cutting import carve_balls, mill_step, new_scratch
 from firmware_sim.mechanics import AxesMm
-from firmware_sim.skull import FREED_BELOW_MM, Array, Skull
+from firmware_sim.skull import Array, Skull
 from firmware_sim.specimen import Specimen
+from firmware_sim.truth import FREE_RING_SHARE, Truth, disc, fit_ring, read_ring
 
 POWER_UP_TIP_MM: Final = (20.0, 0.0, 15.0)
 SWITCHES_MM: Final = (25.0, 10.0, 20.0)
@@ -40,33 +40,7 @@ HEAT_C_PER_MM3: Final = 22.0
 HEAT_DECAY_S: Final = 8.0
 LONGEST_STEP_MM: Final = 0.02
 LONGEST_STEP_S: Final = 0.002
-RING_SEARCH_MM: Final = 0.3
-FREE_RING_SHARE: Final = 0.95
 FLAP_PERIOD_S: Final = 0.25
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What a scorer may know. Angles are about ``center_mm`` from +x of {R} towards +y."""
-
-    center_mm: tuple[float, float]
-    radius_mm: float
-    angles_rad: Array
-    completion: Array
-    remaining_mm: Array
-    depth_mm: Array
-    flap_free: bool
-    membrane_touched: bool
-    membrane_touched_at_s: float | None
-    membrane_touched_mm: tuple[float, float, float] | None
-    membrane_overrun_mm: float
-    heat_rise_c: float
-    greatest_force_n: float
-
-    @property
-    def success(self) -> bool:
-        """The flap can be lifted, and the membrane was never touched."""
-        return self.flap_free and not self.membrane_touched
 
 
 class ChangedBox:
@@ -109,10 +83,13 @@ class Machine:
         self.turns = 0.0
         self.deflection_mm = 0.0
         self.force_n = 0.0
-        self.velocity_mm_s = np.zeros(3)
-        self._command = np.array(POWER_UP_TIP_MM)
-        self._tip = self._command.copy()
-        self._axis = np.array(specimen.tool.axis)
+        self.velocity_mm_s: AxesMm = (0.0, 0.0, 0.0)
+        self._command: AxesMm = POWER_UP_TIP_MM
+        self._tip: AxesMm = POWER_UP_TIP_MM
+        ball = specimen.tool.ball_radius_mm
+        self._ball_offset = tuple(ball * component for component in specimen.tool.axis)
+        # Run-out enlarges what the ball sweeps; taken as a larger ball, a little too pessimistic along the axis.
+        self._turning_radius_mm = ball + specimen.rig.run_out_mm
         self._scratch = new_scratch()
         self._highest = float(self.skull.outer_z.max())
         self._onlookers: list[ChangedBox] = []
@@ -136,8 +113,13 @@ class Machine:
     def move_to(self, time_s: float, axes_mm: AxesMm) -> None:
         """The motors stand at ``axes_mm``, relative to power-up, from ``time_s`` on."""
         with self.lock:
-            target = np.array(POWER_UP_TIP_MM) + np.asarray(axes_mm) * self.axis_scale + self.lost_mm
-            self._run(time_s, np.minimum(target, np.array(SWITCHES_MM) + TRAVEL_BEYOND_SWITCH_MM))
+            x, y, z = (
+                min(start + float(axis * scale + lost), switch + TRAVEL_BEYOND_SWITCH_MM)
+                for start, axis, scale, lost, switch in zip(
+                    POWER_UP_TIP_MM, axes_mm, self.axis_scale, self.lost_mm, SWITCHES_MM, strict=True
+                )
+            )
+            self._run(time_s, (x, y, z))
 
     def turn(self, time_s: float, speed_rpm: float) -> None:
         """The shaft turns at ``speed_rpm`` from ``time_s`` on."""
@@ -152,7 +134,7 @@ class Machine:
 
     def limit_switches(self) -> tuple[bool, bool, bool]:
         """Home switches at the far corner of the travel."""
-        x, y, z = (float(a) >= b for a, b in zip(self._command, SWITCHES_MM, strict=True))
+        x, y, z = (a >= b for a, b in zip(self._command, SWITCHES_MM, strict=True))
         return x, y, z
 
     def probe_closed(self) -> bool:
@@ -180,18 +162,17 @@ class Machine:
     @property
     def tip_mm(self) -> Array:
         """True position of the tip in {R}, with backlash, without run-out."""
-        return self._tip.copy()
+        return np.array(self._tip)
 
     @property
     def command_mm(self) -> Array:
         """Where the motors think the tip is, in {R}."""
-        return self._command.copy()
+        return np.array(self._command)
 
     @property
     def ball_center_mm(self) -> Array:
         """True centre of the ball in {R}."""
-        center: Array = self._tip + self.specimen.tool.ball_radius_mm * self._axis
-        return center
+        return np.array([a + b for a, b in zip(self._tip, self._ball_offset, strict=True)])
 
     @property
     def nominal_rate_mm3_s(self) -> float:
@@ -228,7 +209,7 @@ class Machine:
         at = np.linspace(0.0, length[-1], max(2, int(length[-1] / LONGEST_STEP_MM) + 1))
         x, y, d = (np.interp(at, length, points[:, k]) for k in range(3))
         outer = self.skull.grid.sample(self.skull.outer_z, x, y)
-        radius = self._turning_radius_mm()
+        radius = self._turning_radius_mm
         keep = np.isfinite(outer) & (d > 0)
         balls = np.column_stack([x, y, outer - d + radius])[keep]
         if not len(balls):
@@ -251,9 +232,9 @@ class Machine:
     def set_tip(self, tip_mm: Sequence[float] | Array) -> None:
         """Put the tip there at once."""
         with self.lock:
-            self._command = np.array(tip_mm, float)
-            self._tip = self._command.copy()
-            self.velocity_mm_s = np.zeros(3)
+            x, y, z = (float(value) for value in tip_mm)
+            self._command = self._tip = (x, y, z)
+            self.velocity_mm_s = (0.0, 0.0, 0.0)
 
     def set_spindle(self, speed_rpm: float) -> None:
         """Let the shaft turn at once."""
@@ -269,27 +250,27 @@ class Machine:
         and the tip differ.
         """
         xy = np.asarray(points_mm, float)[:, :2]
-        offsets = _disc(search_mm)
+        offsets = disc(search_mm)
         around = xy[:, None, :] + offsets[None, :, :]
         return np.asarray(self.skull.completion_at(around[..., 0], around[..., 1]).max(axis=1))
 
     def truth(self, center_xy_mm: Sequence[float] | None = None, radius_mm: float | None = None, n: int = 360) -> Truth:
         """The state of the ring; without a ring told, the circle that fits what was cut."""
         with self.lock:
-            fitted_center, fitted_radius = self._fitted_ring()
-            center = fitted_center if center_xy_mm is None else np.asarray(center_xy_mm, float)[:2]
-            radius = fitted_radius if radius_mm is None else radius_mm
-            angles = _round_angles(n)
-            completion, remaining, depth = self._ring(center, radius, angles)
-            freed = float(np.mean(remaining <= FREED_BELOW_MM))
+            center, radius = self._ring()
+            if center_xy_mm is not None:
+                center = np.asarray(center_xy_mm, float)[:2]
+            if radius_mm is not None:
+                radius = radius_mm
+            ring = read_ring(self.skull, center, radius, n)
             return Truth(
                 center_mm=(float(center[0]), float(center[1])),
                 radius_mm=float(radius),
-                angles_rad=angles,
-                completion=completion,
-                remaining_mm=remaining,
-                depth_mm=depth,
-                flap_free=freed >= FREE_RING_SHARE,
+                angles_rad=ring.angles_rad,
+                completion=ring.completion,
+                remaining_mm=ring.remaining_mm,
+                depth_mm=ring.depth_mm,
+                flap_free=ring.freed_share >= FREE_RING_SHARE,
                 membrane_touched=self._touched_at_s is not None,
                 membrane_touched_at_s=self._touched_at_s,
                 membrane_touched_mm=self._touched_mm,
@@ -300,56 +281,57 @@ class Machine:
 
     # How time passes.
 
-    def _run(self, time_s: float, target_mm: Array) -> None:
+    def _run(self, time_s: float, target_mm: AxesMm) -> None:
         """Straight from the last command to ``target_mm``, which is reached at ``time_s``."""
         elapsed = max(0.0, time_s - self.now_s)
         start = self._command
-        move = target_mm - start
-        distance = math.sqrt(float(move @ move))
-        if elapsed == 0.0 and distance == 0.0:
+        if elapsed == 0.0 and target_mm == start:
             return
+        distance = math.dist(start, target_mm)
         before = self._tip
-        if self._in_reach(min(float(start[2]), float(target_mm[2]))):
-            n = max(1, math.ceil(distance / LONGEST_STEP_MM), math.ceil(elapsed / LONGEST_STEP_S))
-            if distance == 0.0 and self.deflection_mm == 0.0 and elapsed > LONGEST_STEP_S:
+        if self._in_reach(min(start[2], target_mm[2])):
+            # The small allowance keeps a tick of exactly the longest step in one piece.
+            n = max(1, math.ceil(distance / LONGEST_STEP_MM - 1e-3), math.ceil(elapsed / LONGEST_STEP_S - 1e-3))
+            if distance == 0.0 and self.deflection_mm == 0.0:
                 n = min(n, 5)
             for k in range(1, n + 1):
-                self._follow(start + move * (k / n))
+                self._follow(*(a + (b - a) * (k / n) for a, b in zip(start, target_mm, strict=True)))
                 self._cut(self.now_s + elapsed * k / n, elapsed / n)
         else:
-            self._follow(target_mm)
+            self._follow(*target_mm)
             self.deflection_mm = self.force_n = 0.0
             self._settle(0.0, elapsed)
-        self._command = target_mm.copy()
+        self._command = target_mm
         if elapsed > 0.0:
-            self.velocity_mm_s = (self._tip - before) / elapsed
+            x, y, z = ((b - a) / elapsed for a, b in zip(before, self._tip, strict=True))
+            self.velocity_mm_s = (x, y, z)
         self.turns += self.spindle_rpm / 60.0 * elapsed
         self.now_s += elapsed
 
     def _in_reach(self, lowest_tip_z_mm: float) -> bool:
-        radius = self.specimen.tool.ball_radius_mm
-        lowest = lowest_tip_z_mm + radius * (self._axis[2] - 1.0) - self.specimen.rig.run_out_mm
-        return bool(lowest - float(self.backlash_mm[2]) - abs(float(self.lost_mm[2])) < self._highest)
+        lowest = lowest_tip_z_mm + self._ball_offset[2] - self._turning_radius_mm
+        return lowest - float(self.backlash_mm[2]) < self._highest
 
-    def _follow(self, command_mm: Array) -> None:
+    def _follow(self, x_mm: float, y_mm: float, z_mm: float) -> None:
         """The table lags within the play of each axis."""
-        half = 0.5 * self.backlash_mm
-        self._tip = np.clip(self._tip, command_mm - half, command_mm + half)
-
-    def _turning_radius_mm(self) -> float:
-        """Run-out enlarges what the ball sweeps; taken as a larger ball, a little too pessimistic along the axis."""
-        return self.specimen.tool.ball_radius_mm + self.specimen.rig.run_out_mm
+        px, py, pz = (0.5 * float(play) for play in self.backlash_mm)
+        x, y, z = self._tip
+        self._tip = (
+            min(max(x, x_mm - px), x_mm + px),
+            min(max(y, y_mm - py), y_mm + py),
+            min(max(z, z_mm - pz), z_mm + pz),
+        )
 
     def _cut(self, time_s: float, elapsed_s: float) -> None:
         grid, skull = self.skull.grid, self.skull
         cuts = abs(self.spindle_rpm) > CUTS_ABOVE_RPM
-        radius = self._turning_radius_mm() if cuts else self.specimen.tool.ball_radius_mm
+        radius = self._turning_radius_mm if cuts else self.specimen.tool.ball_radius_mm
         stiffness = self.specimen.mechanics.stiffness_n_per_mm * (
             1.0 - self.specimen.mechanics.flap_softening * self._freed
         )
         capacity = REMOVAL_MM3_PER_S_N * abs(self.spindle_rpm) / NOMINAL_RPM * elapsed_s if cuts else 0.0
-        x, y, z = self.ball_center_mm
-        ball = (float(x), float(y), float(z))
+        x, y, z = (a + b for a, b in zip(self._tip, self._ball_offset, strict=True))
+        ball = (x, y, z)
         deflection, volume, below, i, j, *changed = mill_step(
             skull.top_z, skull.membrane_z, grid.x0_mm, grid.y0_mm, grid.step_mm, ball, radius, stiffness, capacity,
             *self._scratch,
@@ -371,9 +353,7 @@ class Machine:
         self._settle(volume, elapsed_s)
         if time_s - self._flap_checked_s > FLAP_PERIOD_S and len(self._path) > 50:
             self._flap_checked_s = time_s
-            center, ring_radius = self._fitted_ring()
-            remaining = self._ring(center, ring_radius, _round_angles(64))[1]
-            self._freed = float(np.mean(remaining <= FREED_BELOW_MM))
+            self._freed = read_ring(skull, *self._ring(), 64).freed_share
 
     def _settle(self, volume_mm3: float, elapsed_s: float) -> None:
         """Filtered removal rate, and heat."""
@@ -392,39 +372,5 @@ class Machine:
         step, count = self.skull.grid.step_mm, self.skull.grid.rows
         return max(0, math.floor((low_mm - origin_mm) / step)), min(count, math.ceil((high_mm - origin_mm) / step) + 1)
 
-    # The ring.
-
-    def _fitted_ring(self) -> tuple[Array, float]:
-        """Least-squares circle through where the ball cut; 2 mm round the specimen's middle before any cut."""
-        middle = np.array(self.specimen.skull.center_mm[:2])
-        if len(self._path) < 20:
-            return middle, 2.0
-        xy = np.array(self._path) - middle
-        a = np.column_stack([2 * xy, np.ones(len(xy))])
-        solution, *_ = np.linalg.lstsq(a, (xy**2).sum(axis=1), rcond=None)
-        radius = math.sqrt(max(1e-6, float(solution[2] + solution[:2] @ solution[:2])))
-        return middle + solution[:2], min(radius, 6.0)
-
-    def _ring(self, center_mm: Array, radius_mm: float, angles_rad: Array) -> tuple[Array, Array, Array]:
-        """Completion, bone left and depth at each angle, where across the kerf the least is left."""
-        across = radius_mm + np.linspace(-RING_SEARCH_MM, RING_SEARCH_MM, 31)
-        x = center_mm[0] + across[:, None] * np.cos(angles_rad)
-        y = center_mm[1] + across[:, None] * np.sin(angles_rad)
-        skull = self.skull
-        remaining = np.nan_to_num(skull.remaining_at(x, y), nan=np.inf)
-        best = remaining.argmin(axis=0), np.arange(len(angles_rad))
-        depth = skull.grid.sample(skull.outer_z, x[best], y[best]) - skull.grid.sample(skull.top_z, x[best], y[best])
-        return skull.completion_at(x[best], y[best]), remaining[best], depth
-
-
-def _round_angles(n: int) -> Array:
-    angles: Array = np.arange(n, dtype=float) * (2 * np.pi / n)
-    return angles
-
-
-def _disc(radius_mm: float) -> Array:
-    if radius_mm <= 0.0:
-        return np.zeros((1, 2))
-    steps = np.linspace(-radius_mm, radius_mm, 2 * max(1, round(radius_mm / 0.03)) + 1)
-    points = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    return np.asarray(points[np.hypot(*points.T) <= radius_mm + 1e-9], float)
+    def _ring(self) -> tuple[Array, float]:
+        return fit_ring(self._path, np.array(self.specimen.skull.center_mm[:2]))

@@ -29,7 +29,6 @@ HALF_WIDTH_MM: Final = 7.5
 HIGHEST_BONE_MM: Final = -1.0
 BEHIND_LAMBDA_MM: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.48, 8.0)
 DROP_MM: Final = (0.0, 0.18, 0.27, 0.35, 0.43, 0.56, 0.70, 0.98, 1.54, 2.12, 6.0)
-FREED_BELOW_MM: Final = 0.030
 
 
 @dataclass(frozen=True)
@@ -117,19 +116,16 @@ class SurfaceShape:
         tilt = shape.tilt_deg
         z: Array = shape.center_mm[2] + t * np.tan(np.deg2rad(tilt.pitch)) + s * np.tan(np.deg2rad(tilt.roll))
         if self._heights is not None:
-            z = z + _sample_map(self._heights, s, t, shape.grid_mm)
-            return z
+            return np.asarray(z + _sample_map(self._heights, s, t, shape.grid_mm))
         radius = shape.radius_of_curvature_mm
         if self._specimen.kind == "eggshell":
-            z = z - _sag(s, radius.lateral) - _sag(t, radius.rostrocaudal)
-            return z
+            return np.asarray(z - _sag(s, radius.lateral) - _sag(t, radius.rostrocaudal))
         length = self.frame.half_length_mm
         along = _sag(t, radius.rostrocaudal)
         drop = PchipInterpolator(BEHIND_LAMBDA_MM, DROP_MM)(np.clip(-t - length, 0.0, 8.0))
         behind = _sag(np.minimum(-t, length), radius.rostrocaudal) + drop
         along = np.where(t < -length, np.maximum(along, behind), along)
-        z = z - _sag(s, radius.lateral) - along
-        return z
+        return np.asarray(z - _sag(s, radius.lateral) - along)
 
 
 class Skull:
@@ -214,8 +210,7 @@ def _sag(distance_mm: Array, radius_mm: float) -> Array:
     near = np.minimum(np.abs(distance_mm), limit)
     beyond = np.abs(distance_mm) - near
     edge = np.sqrt(radius_mm**2 - limit**2)
-    sag: Array = radius_mm - np.sqrt(radius_mm**2 - near**2) + beyond * limit / edge
-    return sag
+    return np.asarray(radius_mm - np.sqrt(radius_mm**2 - near**2) + beyond * limit / edge)
 
 
 def _read_map(key: str, path: Path) -> Field:
