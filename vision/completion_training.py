@@ -38,7 +38,7 @@ class CompletionTask:
     """
 
     name = "completion"
-    recipes: Mapping[str, Recipe] = {"default": Recipe(steps=3000, batch=16, learning_rate=2e-3)}
+    recipes: Mapping[str, Recipe] = {"default": Recipe(steps=2000, batch=16, learning_rate=2e-3)}
 
     def network(self) -> nn.Module:
         """A fresh network."""

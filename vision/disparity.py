@@ -25,6 +25,8 @@ UNEXPLAINED = 0.5
 """Largest share of a patch's contrast that may differ between the two pictures."""
 GLARE = 250
 """A pixel whose darkest channel reaches this carries no texture."""
+SIGMA_SCALE = 1.5
+"""Measured on rendered skulls: what differs within a patch is not independent from pixel to pixel."""
 PATCH_PX = 9
 MARGIN_PX = 48
 _SPREAD = 48.0
@@ -156,7 +158,7 @@ def _sigma(
     """Least-squares error of a shift along x: what the patch leaves unexplained over the slope it has to hold on to."""
     slope = cv2.Scharr(one, cv2.CV_32F, 1, 0, scale=1.0 / 32.0) ** 2
     hold = cv2.boxFilter(slope, -1, (PATCH_PX, PATCH_PX)) * PATCH_PX**2
-    variance = unexplained / (hold[y, x] + 1.0) + 0.5 * miss**2 + 0.03**2
+    variance = SIGMA_SCALE**2 * unexplained / (hold[y, x] + 1.0) + 0.5 * miss**2 + 0.05**2
     return np.asarray(np.sqrt(variance), dtype=np.float64)
 
 

@@ -29,7 +29,7 @@ class KeypointTask:
     (N, K) bool.
     """
 
-    recipes: Mapping[str, Recipe] = {"default": Recipe(steps=2500, batch=8, learning_rate=2e-3)}
+    recipes: Mapping[str, Recipe] = {"default": Recipe(steps=1600, batch=8, learning_rate=2e-3)}
 
     def __init__(self, name: str, names: tuple[str, ...]) -> None:
         self.name = name

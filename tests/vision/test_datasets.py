@@ -1,0 +1,65 @@
+import itertools
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigError
+from firmware_sim.specimen import draw_specimen
+from studies.datasets import SPLITS, ensure
+from studies.scenes import completion_samples, landmark_samples
+from vision.completion_training import COMPLETION, RING, STORED_PX
+
+
+def test_no_split_can_reach_a_seed_of_another():
+    drawn = {
+        name: {split.seed_of(index, seed) for index in (0, 1, 999) for seed in (0, 1, 99, 10**6)}
+        for name, split in SPLITS.items()
+    }
+    for one, two in itertools.combinations(SPLITS, 2):
+        assert not drawn[one] & drawn[two]
+    for name, split in SPLITS.items():
+        assert all(split.first <= seed < split.first + 1_000_000 for seed in drawn[name])
+
+
+def test_a_killed_rendering_goes_on_and_gives_the_same(tmp_path, monkeypatch):
+    monkeypatch.setitem(SPLITS["test"].specimens, "tip", 3)
+
+    def samples(specimen, rng):
+        yield {"points": np.array([specimen.seed, rng.integers(1000)])}
+
+    monkeypatch.setitem(ensure.__globals__["_SAMPLES"], "tip", samples)
+
+    class KilledError(Exception):
+        pass
+
+    def kill(done, total):
+        if done == 2:
+            raise KilledError
+
+    ensure("tip", "test", tmp_path / "whole", seed=4, progress=lambda done, total: None)
+    with pytest.raises(KilledError):
+        ensure("tip", "test", tmp_path / "killed", seed=4, progress=kill)
+    seen = []
+    ensure("tip", "test", tmp_path / "killed", seed=4, progress=lambda done, total: seen.append(done))
+    assert seen == [3]
+    whole, killed = (np.load(tmp_path / name / "test" / "points.npy") for name in ("whole", "killed"))
+    assert (whole == killed).all()
+
+
+def test_a_folder_without_specimens_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"no specimen files"):
+        ensure("tip", "test", tmp_path / "out", seed=0, specimens=tmp_path, progress=lambda done, total: None)
+
+
+def test_labels_of_a_ring_agree_with_its_completion():
+    sample = next(completion_samples(draw_specimen(5), np.random.default_rng(3)))
+    assert sample["crops"].shape == (STORED_PX, STORED_PX, 6)
+    cells = np.round((sample["rings_px"] - 0.5) / 2).astype(int)
+    painted = sample["labels"][cells[:, 1], cells[:, 0]]
+    assert painted[:, RING].all()
+    assert painted[:, COMPLETION] / 250 == pytest.approx(sample["completions"], abs=0.06)
+
+
+def test_an_eggshell_has_no_landmarks():
+    for sample in landmark_samples(draw_specimen(5, kind="eggshell"), np.random.default_rng(3)):
+        assert not sample["visible"].any()
