@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 Point = tuple[float, float, float]
@@ -38,7 +38,6 @@ class Modal:
     tool_offset: bool = False
     spindle: str = "M5"
     flood: bool = False
-    mist: bool = False
     tool: int = 0
     feed: float = 0.0
     speed: float = 0.0
@@ -90,10 +89,12 @@ _GROUPS: dict[str, int] = {
     "G61": 13,
     **dict.fromkeys(("M0", "M1", "M2", "M30"), 104),
     **dict.fromkeys(("M3", "M4", "M5"), 107),
-    **dict.fromkeys(("M7", "M8", "M9"), 108),
+    **dict.fromkeys(("M8", "M9"), 108),
 }
 _HAL_GROUPS = {"G59.1": 12, "G59.2": 12, "G59.3": 12, "G98": 10, "G99": 10, "G50": 11}
 _AXIS_COMMANDS = {"G10", "G28", "G30", "G92", "G0", "G1", "G2", "G3", "G38.2", "G38.3", "G38.4", "G38.5", "G43.1"}
+_FRACTIONS = {28, 30, 38, 43, 61, 90, 91, 92}
+"""G-codes that come with a fraction in some of their forms."""
 _COOLANT = 108
 _INCH_MM = 25.4
 
@@ -119,12 +120,15 @@ def read_words(text: str) -> list[tuple[str, float]]:
     return words
 
 
-def _command(letter: str, value: float) -> str:
+def _command(letter: str, value: float, known: Mapping[str, int]) -> str:
     whole = int(value)
-    tenth = round(100 * (value - whole))
-    if tenth % 10:
-        raise GcodeError(NOT_INTEGER if letter == "M" or tenth else UNSUPPORTED)
-    return f"{letter}{whole}.{tenth // 10}" if tenth else f"{letter}{whole}"
+    hundredths = round(100 * (value - whole))
+    command = f"{letter}{whole}.{hundredths:02d}".removesuffix("0") if hundredths else f"{letter}{whole}"
+    if command in known:
+        return command
+    if hundredths and (letter == "M" or (f"G{whole}" in known and whole not in _FRACTIONS)):
+        raise GcodeError(NOT_INTEGER)
+    raise GcodeError(UNSUPPORTED)
 
 
 @dataclass
@@ -142,9 +146,7 @@ def _sort_words(text: str, frame: Frame) -> _Words:
     groups = _GROUPS | _HAL_GROUPS if frame.knows_hal_words else _GROUPS
     for letter, value in read_words(text):
         if letter in "GM":
-            command = _command(letter, value)
-            if command not in groups or command == "M7":
-                raise GcodeError(UNSUPPORTED)
+            command = _command(letter, value, groups)
             group = groups[command]
             if command in _AXIS_COMMANDS:
                 if sorted_words.axis_command is not None:

@@ -54,12 +54,15 @@ def jog(program: "Program", text: str) -> Waits:
     """``$J=``: one move that leaves the modal state alone."""
     line = read_line(text, program.modal, program.frame, jog=True)
     target = line.target_mm
-    if program.settings.flag(20):
-        if program.dialect.name == "grblhal":
+    if _soft_limits(program):
+        if program.dialect.name == "grblhal" and program.settings.flag(40):
             target = _clamped(program, target)
         elif not _within_travel(program, target):
             raise GcodeError(_TRAVEL_EXCEEDED)
+    cancels = program.jog_cancels
     yield from move(program, target, line, is_jog=True)
+    if program.dialect.drops_segments and program.jog_cancels != cancels:
+        return
     program.position_mm = target
     if program.state is State.IDLE and program.planner.blocks:
         program.state = State.JOG
@@ -68,12 +71,19 @@ def jog(program: "Program", text: str) -> Waits:
 
 
 def move(program: "Program", target: Point, line: Line, *, is_jog: bool = False) -> Waits:
-    """Queue a straight move, waiting for room; the line that waits here keeps its absolute target."""
-    if program.settings.flag(20) and not is_jog and not _within_travel(program, target):
+    """Queue a straight move, waiting for room.
+
+    A jog that waits here while the jogs before it are cancelled is dropped by grblHAL. GRBL 1.1h still runs it, from
+    wherever the axes came to rest straight to its old absolute target.
+    """
+    if _soft_limits(program) and not is_jog and not _within_travel(program, target):
         yield from _soft_limit(program)
         return
+    cancels = program.jog_cancels
     while True:
         yield from program.realtime()
+        if program.dialect.drops_segments and program.jog_cancels != cancels:
+            return
         if program.planner.free > 0:
             break
         program.start_cycle_if_queued()
@@ -84,9 +94,15 @@ def move(program: "Program", target: Point, line: Line, *, is_jog: bool = False)
         speed=line.modal.feed / 60,
         is_rapid=line.action in {"G0", "G28", "G30"},
         inverse_time=line.modal.inverse_time,
+        keeps_feed=is_jog,
         tail_speed=program.stepper.speed,
     )
     program.stepper.replan()
+
+
+def _soft_limits(program: "Program") -> bool:
+    """GrblHAL checks only axes that have been homed."""
+    return program.settings.flag(20) and (program.homed or program.dialect.name == "gnea")
 
 
 def _travel_low(program: "Program") -> Point:
@@ -305,7 +321,7 @@ def _home_move(
     stepper.moves_axis = [axis in axes for axis in range(3)]
     program.planner.add(
         (target[0], target[1], target[2]), settings.limits(), speed=speed * math.sqrt(len(axes)), is_rapid=False,
-        is_system=True,
+        keeps_feed=True,
     )  # fmt: skip
     stepper.replan()
     stepper.prepare()

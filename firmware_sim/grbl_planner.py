@@ -15,7 +15,10 @@ MINIMUM_SPEED = 1 / 60
 
 @dataclass(eq=False)
 class Block:
-    """A straight move of ``steps`` motor steps; ``remaining_mm`` of its length is not yet prepared for the motors."""
+    """A straight move of ``steps`` motor steps; ``remaining_mm`` of its length is not yet prepared for the motors.
+
+    Jogs and homing keep their feed: the feed override does not touch them.
+    """
 
     steps: STEPS
     length_mm: float
@@ -24,7 +27,7 @@ class Block:
     rapid_speed: float
     programmed_speed: float
     is_rapid: bool
-    is_system: bool
+    keeps_feed: bool
     junction_speed: float
     line_number: int = 0
     nominal_speed: float = 0.0
@@ -85,7 +88,7 @@ class Planner:
         *,
         speed: float,
         is_rapid: bool,
-        is_system: bool = False,
+        keeps_feed: bool = False,
         inverse_time: bool = False,
         tail_speed: float = 0.0,
     ) -> bool:
@@ -99,8 +102,8 @@ class Planner:
         rapid = _limit_by_axis(limits.max_speed, unit)
         programmed = rapid if is_rapid else speed * length if inverse_time else speed
         acceleration = _limit_by_axis(limits.acceleration, unit)
-        block = Block(steps, length, unit, acceleration, rapid, programmed, is_rapid, is_system, junction_speed=0.0)
-        if self.blocks and not is_system and self._last is not None:
+        block = Block(steps, length, unit, acceleration, rapid, programmed, is_rapid, keeps_feed, junction_speed=0.0)
+        if self.blocks and self._last is not None:
             block.junction_speed = _junction_speed(self._last.unit, unit, limits)
         self._set_nominal(block, self._last)
         self.blocks.append(block)
@@ -110,10 +113,10 @@ class Planner:
         return True
 
     def _set_nominal(self, block: Block, previous: Block | None) -> None:
-        if block.is_system:
-            nominal = block.programmed_speed
-        elif block.is_rapid:
+        if block.is_rapid:
             nominal = block.rapid_speed * self.rapid_override / 100
+        elif block.keeps_feed:
+            nominal = min(block.programmed_speed, block.rapid_speed)
         else:
             feed = min(block.programmed_speed, block.rapid_speed) if self._caps_first else block.programmed_speed
             nominal = min(feed * self.feed_override / 100, block.rapid_speed)

@@ -54,6 +54,7 @@ class Program:
         self.build_info = ""
         self.tool_mm: Point = (0.0, 0.0, 0.0)
         self.homed = False
+        self.jog_cancels = 0
         self.locked_at_start = settings.flag(22)
         self._line = bytearray()
         self._begin()
@@ -79,9 +80,7 @@ class Program:
         self.flood = False
         self.overrides = Overrides()
         self.report = Reporter(self)
-        self._line.clear()
-        self._overflow = False
-        self._comment = ""
+        self.forget_line()
         self.planner.reset()
         self.planner.feed_override = self.planner.rapid_override = 100
         self.planner_mm_from_motors()
@@ -233,14 +232,18 @@ class Program:
             yield self.now_s + self.dialect.line_cost_s
             yield from self.realtime()
             text, overflow = self._line.decode("latin-1"), self._overflow
-            self._line.clear()
-            self._overflow = False
-            self._comment = ""
+            self.forget_line()
             try:
                 yield from self._obey(text, overflow=overflow)
             except Aborted:
                 self.answer(0)
                 raise
+
+    def forget_line(self) -> None:
+        """What has been read of a line so far."""
+        self._line.clear()
+        self._overflow = False
+        self._comment = ""
 
     def _take(self, byte: int) -> None:
         """One character of a line; blanks and comments are thrown away."""
@@ -312,6 +315,8 @@ class Program:
                 raise Aborted
             if Flag.STATUS in flags:
                 flags.discard(Flag.STATUS)
+                if self.dialect.name == "grblhal":
+                    self.overrides.apply(self)
                 self.report.status()
             self._stops()
             if Flag.CYCLE_START in flags:
@@ -410,6 +415,7 @@ class Program:
                 self.report.held_feed = self.planner.blocks[0].nominal_speed
             return
         if suspend.jog_cancel:
+            self.jog_cancels += 1
             self.planner.reset()
             self.stepper.reset()
             self.idle_motors()

@@ -34,7 +34,8 @@ class Reporter:
 
     def overrides_changed(self, *, accessories: bool = False) -> None:
         """The next report shows the overrides."""
-        self._overrides_in = 0
+        if not (self._is_hal and accessories):
+            self._overrides_in = 0
         self._accessories = self._accessories or accessories
 
     def status(self) -> None:
