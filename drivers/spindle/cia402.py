@@ -123,10 +123,13 @@ class Cia402Spindle(Spindle):
         self._node.pump()
         if self._node.boot_ups:
             raise DeviceFaultError(f"{self._node.name}: {_RESTARTED}")
+        self._node.command(NMT_START)
+        self._ask()
+        self._refuse_fault()
         self._forget_faults()
         watch_host(self._node, self._heartbeat_s)
         self._beating, self._next_beat_s = True, -math.inf
-        self._node.command(NMT_START)
+        self._beat()
         self._enable(target_rpm, seen_stops)
         self._commanded_rpm = target_rpm
         if self._stops != seen_stops:
@@ -194,9 +197,7 @@ class Cia402Spindle(Spindle):
             self._command(control, 0)
             self._clock.sleep_s(_POLL_S)
         self._ask()
-        fault = self._fault(self._heartbeat_s)
-        if self._state in FAULTY:
-            raise DeviceFaultError(f"{self._node.name}: cannot be reset, {fault}; remove the cause")
+        self._refuse_fault()
         self._forget_faults()
 
     def close(self) -> None:
@@ -223,10 +224,8 @@ class Cia402Spindle(Spindle):
         deadline_s = self._clock.now_s() + _TRANSITION_S
         while True:
             self._ask()
+            self._refuse_fault()
             state = self._state
-            if state in FAULTY:
-                fault = self._fault(self._heartbeat_s)
-                raise DeviceFaultError(f"{self._node.name}: {fault}; remove the cause and reset the fault")
             if state in TOWARDS_ENABLED or state is DriveState.OPERATION_ENABLED:
                 control = TOWARDS_ENABLED.get(state, ENABLE)
                 frame = COMMAND_LAYOUT.pack(control, target_rpm if control == ENABLE else 0)
@@ -299,6 +298,11 @@ class Cia402Spindle(Spindle):
         elif self._commanded_rpm and self._state is not DriveState.OPERATION_ENABLED and not texts:
             texts.append(f"the drive went to state {self._state or 'unknown'} by itself")
         return "; ".join(texts) or None
+
+    def _refuse_fault(self) -> None:
+        if self._state in FAULTY:
+            fault = self._fault(self._heartbeat_s)
+            raise DeviceFaultError(f"{self._node.name}: {fault}; remove the cause, then reset the fault")
 
     def _forget_faults(self) -> None:
         self._node.emergencies.clear()
