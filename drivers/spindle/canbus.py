@@ -9,8 +9,10 @@ import re
 from collections import deque
 
 import can
+from can.interfaces.socketcan import SocketcanBus
 
 from drivers.errors import ConfigError, ConnectionLostError
+from drivers.lock import DeviceLock
 from drivers.motion.transport import SerialLine
 
 SLCAN_BAUD = 115_200
@@ -53,7 +55,7 @@ def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
     Raises:
         ConfigError: an interface or bit rate that does not exist.
         ConnectionLostError: the adapter or the network interface is not there.
-        DeviceBusyError: another process owns the adapter.
+        DeviceBusyError: another process, which the message names, owns it.
     """
     if interface == "slcan":
         from drivers.motion.serial_line import open_serial
@@ -70,13 +72,29 @@ def open_bus(interface: str, channel: str, bitrate: int) -> can.BusABC:
             raise
     if interface == "socketcan":
         try:
-            return can.Bus(interface="socketcan", channel=channel)
+            return _OwnedSocketcanBus(channel)
         except (OSError, can.CanError) as error:
             raise ConnectionLostError(
                 f"CAN interface {channel}: cannot be opened ({error}); look for it with `ip link`, bring it up with "
                 f"`ip link set {channel} up type can bitrate {bitrate}`, or use a serial adapter (interface slcan)"
             ) from error
     raise ConfigError(f"CAN interface {interface!r} is unknown; allowed: slcan, socketcan")
+
+
+class _OwnedSocketcanBus(SocketcanBus):
+    """SocketCAN lets any number of processes speak; one that commands a drill has it to itself."""
+
+    def __init__(self, channel: str) -> None:
+        self._lock = DeviceLock(f"/sys/class/net/{channel}")
+        try:
+            super().__init__(channel=channel)
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        self._lock.release()
 
 
 class SlcanBus(can.BusABC):
