@@ -1,5 +1,6 @@
 """The virtual bench: one world with its motion board, spindle drive, CAN adapter and cameras."""
 
+import zlib
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, Final, Literal
@@ -47,10 +48,18 @@ class Bench:
         self.machine = Machine(self.specimen)
         settings = {**MECHANICAL_SETTINGS, **_COMMISSIONING, **_DIALECT_SETTINGS[dialect]}
         self.board = GrblBoard(self.machine, dialect=dialect, settings=settings)
-        self.drive = Cia402Drive(self.machine, node_id=NODE_ID, max_speed_rpm=MAX_SPEED_RPM)
+        self.board.commission(f"mill-bench-{self.serial_number}")
+        self.drive = Cia402Drive(
+            self.machine, node_id=NODE_ID, max_speed_rpm=MAX_SPEED_RPM, serial_number=self.serial_number
+        )
         self.can = CanWire([self.drive])
         self.adapter = SlcanAdapter(self.can)
         self.now_s = 0.0
+
+    @property
+    def serial_number(self) -> int:
+        """Of every device of this rig; another rig has others, and a calibration holds for one rig only."""
+        return zlib.crc32(self.specimen.rig.model_dump_json().encode()) % 1_000_000
 
     @cached_property
     def microscope(self) -> Microscope:

@@ -66,6 +66,10 @@ class GrblBoard:
         self._shown = (0.0, 0.0, 0.0)
         self._limits_pressed = False
 
+    def commission(self, build_info: str) -> None:
+        """What an installer leaves behind by ``$I=``: a text that tells this board from others of its make."""
+        self._program.build_info = build_info
+
     @property
     def spindle_rpm(self) -> float:
         """What the spindle output asks for; negative turns the other way."""

@@ -1,7 +1,8 @@
 """Two cameras on one HTTP port: ``/left`` and ``/right`` as multipart/x-mixed-replace, one JPEG a part.
 
 Each part carries ``X-Timestamp``: CLOCK_MONOTONIC in seconds when the exposure began. A client always gets the newest
-picture; one that reads too slowly misses pictures and delays nobody. The port is bound to the loopback interface.
+picture; one that reads too slowly misses pictures and delays nobody. ``X-Serial`` in the head of a stream tells the
+camera's serial number. The port is bound to the loopback interface.
 """
 
 import threading
@@ -17,7 +18,8 @@ _WAIT_S = 0.5
 class MjpegCameras:
     """Open from construction; pictures go in by ``publish`` from any thread."""
 
-    def __init__(self, *, host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(self, *, host: str = "127.0.0.1", port: int = 0, serial_number: int = 0) -> None:
+        self.serial_number = serial_number
         self._changed = threading.Condition()
         self._pictures: tuple[bytes, bytes] | None = None
         self._exposed_at_s = 0.0
@@ -106,6 +108,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _stream(self, cameras: MjpegCameras, side: int) -> None:
         self.send_response(200)
         self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={_BOUNDARY}")
+        self.send_header("X-Serial", f"{cameras.serial_number}-{SIDES[side]}")
         self.send_header("Cache-Control", "no-store")
         self.send_header("Connection", "close")
         self.end_headers()

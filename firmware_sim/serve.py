@@ -22,7 +22,7 @@ from typing import Self
 import cv2
 
 from drivers.camera.interface import Image
-from drivers.clock import SystemClock
+from drivers.clock import Clock, SystemClock
 from firmware_sim.bench import Bench
 from firmware_sim.mjpeg_camera import MjpegCameras
 from firmware_sim.ptys import SerialPty
@@ -52,17 +52,17 @@ class ServiceStatus:
 class BenchService:
     """A bench on ptys and ports. Open from construction; ``close`` ends every wire."""
 
-    def __init__(self, bench: Bench, *, fps: float = 20.0, camera_port: int = 0) -> None:
+    def __init__(self, bench: Bench, *, fps: float = 20.0, clock: Clock | None = None) -> None:
         self.bench = bench
         self.fps = fps
         self.skipped_s = 0.0
-        self._clock = SystemClock()
+        self._clock = SystemClock() if clock is None else clock
         # The first picture compiles and shades the scene; nobody should wait for it on an open wire.
         self._encode(bench.microscope.render(bench.now_s))
         bench.truth()
         self._motion = SerialPty()
         self._spindle = SerialPty()
-        self._cameras = MjpegCameras(port=camera_port)
+        self._cameras = MjpegCameras()
         self._ending = threading.Event()
         self._renderer = threading.Thread(target=self._stream, name="renderer", daemon=True)
 
@@ -150,7 +150,7 @@ class BenchService:
         x, y, z = (float(value) for value in machine.tip_mm)
         return ServiceStatus(
             time_s=self.bench.now_s,
-            moving=bool(machine.velocity_mm_s.any()),
+            moving=any(machine.velocity_mm_s),
             tip_mm=(x, y, z),
             spindle_rpm=machine.spindle_rpm,
             depth_mm=self.bench.depth_mm,

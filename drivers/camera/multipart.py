@@ -38,6 +38,7 @@ class MultipartStream:
             self._connection.request("GET", target, headers={"Accept": "multipart/x-mixed-replace"})
             self._response = self._connection.getresponse()
             self._boundary = self._check_head()
+            self.serial_number: str | None = self._response.headers.get("X-Serial")
         except BaseException as error:
             self._connection.close()
             if isinstance(error, TimeoutError):

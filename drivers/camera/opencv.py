@@ -104,7 +104,9 @@ class OpenCvSource:
 
     @property
     def identity(self) -> str:
-        """The path or URL, with the maker's name and serial number of a V4L2 device as the kernel tells them."""
+        """Serial number where the camera tells one (its stream's ``X-Serial``, or the kernel), else the path or URL."""
+        if isinstance(self._stream, _HttpStream) and self._stream.serial_number is not None:
+            return self._stream.serial_number
         return self._name if _is_url(self._name) else _v4l2_identity(self._name)
 
     def newest(self) -> tuple[Image, float] | None:
@@ -226,6 +228,7 @@ class _HttpStream:
         self._clock = clock
         self._delay_s = _PERIODS_FROM_EXPOSURE_TO_ARRIVAL / fps
         self._stream = MultipartStream(url, _READ_S)
+        self.serial_number = self._stream.serial_number
 
     def read(self) -> tuple[bytes | Image, float]:
         while True:
