@@ -121,10 +121,8 @@ class SurfaceShape:
         if self._specimen.kind == "eggshell":
             return np.asarray(z - _sag(s, radius.lateral) - _sag(t, radius.rostrocaudal))
         length = self.frame.half_length_mm
-        along = _sag(t, radius.rostrocaudal)
-        drop = PchipInterpolator(BEHIND_LAMBDA_MM, DROP_MM)(np.clip(-t - length, 0.0, 8.0))
-        behind = _sag(np.minimum(-t, length), radius.rostrocaudal) + drop
-        along = np.where(t < -length, np.maximum(along, behind), along)
+        drop = PchipInterpolator(BEHIND_LAMBDA_MM, DROP_MM)(np.clip(-t - length, 0.0, BEHIND_LAMBDA_MM[-1]))
+        along = _sag(np.maximum(t, -length), radius.rostrocaudal) + drop
         return np.asarray(z - _sag(s, radius.lateral) - along)
 
 
