@@ -133,7 +133,7 @@ def _draw_mouse(rng: np.random.Generator, skull: Skull, scene: Grid) -> _Parts:
     line = np.clip(_blur(core, 1.2), 0, 1)
     bone = _mix(bone, suture_rgb, line * rng.uniform(0.45, 0.95))
 
-    tissue = np.array([0.34, 0.115, 0.095]) * np.exp(rng.normal(0, [0.12, 0.2, 0.2]))
+    tissue = np.array([0.45, 0.125, 0.10]) * np.exp(rng.normal(0, [0.12, 0.2, 0.2]))
     blood = np.array([0.13, 0.014, 0.02]) * np.exp(rng.normal(0, 0.2))
     bed = np.broadcast_to(tissue, (*shape, 3)) * np.exp(0.08 * smooth_noise(rng, shape, step, 0.6))[..., None]
     bed = _mix(bed, blood, np.clip(_blur(_ink(skull, vessels(rng, length), 1.0), 1.5), 0, 1) * 0.9)
