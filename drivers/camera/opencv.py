@@ -5,7 +5,6 @@ decoded when somebody asks for the picture, and only the newest. V4L2 cameras ru
 and every setting is read back; a URL's camera is set up on its own side.
 """
 
-import contextlib
 import logging
 import math
 import os
@@ -186,9 +185,12 @@ class OpenCvSource:
         if self._closing.is_set():
             return False
         _log.warning("%s; opening it again", stall)
+        before = self.identity
         self._stream.close()
         try:
             self._stream = self._open()
+            if self.identity != before:
+                raise ConnectionLostError(f"{self._name}: was {before} before it stalled and is {self.identity} now")
         except (MillError, cv2.error) as error:
             self._fail(error)
             return False
@@ -371,10 +373,14 @@ def _require_present(path: str) -> None:
 
 def _v4l2_identity(path: str) -> str:
     node = Path("/sys/class/video4linux") / Path(path).resolve().name
-    words = [path]
-    with contextlib.suppress(OSError):
-        words.append((node / "name").read_text().strip())
-    with contextlib.suppress(OSError):
-        # video node -> USB interface -> USB device
-        words.append("serial " + (node / "device" / ".." / "serial").resolve().read_text().strip())
-    return " ".join(words)
+    name = _first_line(node / "name") or "V4L2 camera"
+    # video node -> USB interface -> USB device
+    serial_number = _first_line((node / "device").resolve().parent / "serial")
+    return f"{name} at {path}" if serial_number is None else f"{name} {serial_number}"
+
+
+def _first_line(path: Path) -> str | None:
+    try:
+        return path.read_text(errors="replace").strip() or None
+    except OSError:
+        return None

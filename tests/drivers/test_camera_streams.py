@@ -219,6 +219,17 @@ def test_a_stalled_camera_is_opened_again_and_it_is_reported(
         eye.close()
 
 
+def test_another_camera_at_the_same_address_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.camera.opencv._READ_S", 0.05)
+    heads = [HEAD[:-2] + b"X-Serial: " + serial + b"\r\n\r\n" for serial in (b"A-1", b"B-2")]
+    with server(*(sends(head, part(jpeg(), "X-Timestamp: 7")) for head in heads)) as url:
+        eye = source(url)
+        assert eye.identity == "A-1"
+        with pytest.raises(ConnectionLostError, match="was A-1 before it stalled and is B-2 now"):
+            eye.wait_newer(8.0, 5.0)
+        eye.close()
+
+
 def test_closing_does_not_wait_for_a_silent_camera() -> None:
     with server(sends(HEAD)) as url:
         eye = source(url)
