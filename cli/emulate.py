@@ -155,7 +155,7 @@ def _show(status: "ServiceStatus") -> None:
     depth = f"  depth {1000 * status.depth_mm:4.0f} um" if status.depth_mm > 0 else ""
     late = f"  {status.skipped_s:.1f} s left out" if status.skipped_s >= 0.1 else ""
     click.echo(
-        f"\r\x1b[K{status.time_s:7.1f} s  {'moving' if status.moving else 'still '}  tip {x:7.3f} {y:7.3f} {z:7.3f} mm"
+        f"\r\x1b[K{status.time_s:7.1f} s  {status.motion:5}  tip {x:7.3f} {y:7.3f} {z:7.3f} mm"
         f"  spindle {status.spindle_rpm:6.0f} rpm{depth}{late}",
         nl=False,
     )

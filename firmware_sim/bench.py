@@ -113,5 +113,5 @@ def open_in_process(
 ) -> tuple[InProcessLine, InProcessBus, InProcessSource, InProcessSource]:
     """The bench's four wires on a virtual clock, for the drivers: serial line, CAN bus, left and right eye."""
     clock.attach(bench.advance_to)
-    left, right = in_process_sources(bench.microscope, clock, fps=fps)
+    left, right = in_process_sources(bench.microscope, clock, fps=fps, name=str(bench.serial_number))
     return InProcessLine(bench.board, clock), InProcessBus(bench.can, clock), left, right

@@ -71,6 +71,11 @@ class GrblBoard:
         self._program.build_info = build_info
 
     @property
+    def state(self) -> str:
+        """What a status report would say."""
+        return self._program.state.value
+
+    @property
     def spindle_rpm(self) -> float:
         """What the spindle output asks for; negative turns the other way."""
         program = self._program

@@ -204,4 +204,4 @@ def in_process_sources(
 ) -> tuple[InProcessSource, InProcessSource]:
     """A left and a right eye on one renderer; ``latency_s`` is exposure and transport together."""
     pair = _Exposures(renderer, clock, 1.0 / fps, latency_s)
-    return InProcessSource(pair, 0, f"{name}:left"), InProcessSource(pair, 1, f"{name}:right")
+    return InProcessSource(pair, 0, f"{name}-left"), InProcessSource(pair, 1, f"{name}-right")

@@ -42,7 +42,7 @@ class ServiceStatus:
     """What a status line shows."""
 
     time_s: float
-    moving: bool
+    motion: str
     tip_mm: tuple[float, float, float]
     spindle_rpm: float
     depth_mm: float
@@ -62,7 +62,7 @@ class BenchService:
         bench.truth()
         self._motion = SerialPty()
         self._spindle = SerialPty()
-        self._cameras = MjpegCameras()
+        self._cameras = MjpegCameras(serial_number=bench.serial_number)
         self._ending = threading.Event()
         self._renderer = threading.Thread(target=self._stream, name="renderer", daemon=True)
 
@@ -150,7 +150,7 @@ class BenchService:
         x, y, z = (float(value) for value in machine.tip_mm)
         return ServiceStatus(
             time_s=self.bench.now_s,
-            moving=any(machine.velocity_mm_s),
+            motion=self.bench.board.state,
             tip_mm=(x, y, z),
             spindle_rpm=machine.spindle_rpm,
             depth_mm=self.bench.depth_mm,

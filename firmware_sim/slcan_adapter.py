@@ -28,7 +28,6 @@ class SlcanAdapter:
     def __init__(self, nodes: CanWire | Sequence[CanNode]) -> None:
         self._wire = as_wire(nodes)
         self._port = self._wire.open_port()
-        self._time_s = 0.0
         self._line = bytearray()
         self._overlong = False
         self._out = bytearray()
@@ -38,11 +37,6 @@ class SlcanAdapter:
         self._time_stamps = False
         self._stuck = 0
         self._flags = 0
-
-    @property
-    def channel_open(self) -> bool:
-        """Whether the host has opened the CAN channel."""
-        return self._open
 
     def receive(self, data: bytes) -> None:
         """Bytes from the host, in pieces of any size."""
@@ -66,7 +60,6 @@ class SlcanAdapter:
 
     def advance_to(self, time_s: float) -> None:
         """Let the wire and its nodes go on, and pass on what the adapter hears."""
-        self._time_s = time_s
         self._wire.advance_to(time_s)
         while self._port.heard:
             arrival_s, (can_id, data) = self._port.heard.popleft()

@@ -86,6 +86,7 @@ def test_both_streams_show_the_same_exposures_in_time(served):
     seen = []
     for url in service.camera_urls:
         with urllib.request.urlopen(url, timeout=5) as stream:
+            assert stream.headers["X-Serial"] == f"{service.bench.serial_number}-{url.rpartition('/')[2]}"
             times = []
             while len(times) < 10:
                 line = stream.readline()
@@ -160,10 +161,10 @@ def test_of_a_long_gap_most_is_left_out():
 def test_a_status_tells_what_a_person_wants_to_see():
     service = BenchService(tiny_bench())
     told = []
-    service.run(lambda: bool(told), on_status=told.append)
-    assert told[0].tip_mm == (20.0, 0.0, 15.0)
-    assert not told[0].moving
-    assert told[0].spindle_rpm == 0.0
+    service.run(lambda: len(told) > 1, on_status=told.append)
+    assert told[-1].tip_mm == (20.0, 0.0, 15.0)
+    assert told[-1].motion == "Alarm"
+    assert told[-1].spindle_rpm == 0.0
 
 
 def test_a_host_that_does_not_read_delays_nobody_and_reads_the_oldest_later():
