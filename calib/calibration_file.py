@@ -156,26 +156,16 @@ class Calibration:
 
         Raises:
             CalibrationError: ``rig`` is given and is not the rig that was calibrated.
+            ConfigError: the file cannot be written; what was there before is untouched.
         """
         if rig is not None:
             _require_same_rig(self.rig, rig, str(path))
         body = _body(self)
         seal = hashlib.sha256(body.encode()).hexdigest()
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            with temporary.open("w", encoding="utf-8", newline="\n") as file:
-                file.write(f'sha256 = "{seal}"\n{body}')
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+            _replace(path, f'sha256 = "{seal}"\n{body}')
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be written ({error}); free space or choose another place") from error
 
     @classmethod
     def load(cls, path: Path, rig: RigIdentity | None, *, for_milling: bool = False) -> "Calibration":
@@ -237,6 +227,24 @@ def _body(calibration: Calibration) -> str:
         }
     )
     return tomlkit.dumps(document)
+
+
+def _replace(path: Path, text: str) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        with temporary.open("w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
 
 
 def _plain(table: dict[str, Any]) -> dict[str, Any]:

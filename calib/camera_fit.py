@@ -16,9 +16,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from calib.camera_pair import N_PARAMETERS, CameraPair, Optics, eye_jacobians, optical_axis, project_eye
-from calib.landmark import MIN_SPREAD_MM, LandmarkFit, fit_rigid, spread_mm
+from calib.landmark import MIN_SPREAD_MM, LandmarkFit, align, fit_rigid, spread_mm
 from calib.stereo import PAPER_MODEL, StereoModel
-from calib.transform import Array
+from calib.transform import Array, RigidTransform
 from drivers.errors import CalibrationError
 
 EYE_MODELS = {"affine": 8, "perspective": 9, "radial": 10}
@@ -29,7 +29,7 @@ _MIN_MOTION_PX = 5.0
 _MIN_DISPARITY_PX_PER_MM = 0.5
 """Less, and both pictures show the same view; the paper's microscope has 6.4."""
 _SIMPLER_WITHIN = 1.05
-"""A simpler model is kept while its held-out error is within this factor of the best."""
+"""A simpler model is kept while its held-out error in pixels is within this factor of the best."""
 _OUTLIER_SIGMAS = 6.0
 _OUTLIER_FLOOR_PX = 1.0
 _SURE_SHARE = 0.6
@@ -87,27 +87,25 @@ def fit_camera_pair(
     _require_spread(points)
     handedness = check_handedness(_fit_pair("affine", optics, points, left, right, detector_sigma_px))
 
-    held_out: dict[str, Array] = {}
-    if (linear := _linear_candidate(points, left, right)) is not None:
-        held_out["linear"] = linear.leave_one_out_mm
-    for model, n_free in EYE_MODELS.items():
-        if 2 * (len(points) - 1) >= n_free + 1:
-            held_out[model] = _leave_one_out(model, optics, points, left, right)
-    candidates = {name: _rms(errors) for name, errors in held_out.items() if np.isfinite(errors).all()}
+    models = ["linear", *(name for name, free in EYE_MODELS.items() if 2 * (len(points) - 1) > free)]
+    held_out = {name: _held_out(name, optics, points, left, right) for name in models}
+    candidates = {name: errors for name, errors in held_out.items() if np.isfinite(errors.px).all()}
     if not candidates:
         raise CalibrationError(
             "calibration: without one setpoint or another the rest lie in one plane; spread more over the box"
         )
-    best = min(candidates.values())
-    model = next(name for name, rmse in candidates.items() if rmse <= _SIMPLER_WITHIN * best)
+    best = min(_rms(errors.px) for errors in candidates.values())
+    model = next(name for name, errors in candidates.items() if _rms(errors.px) <= _SIMPLER_WITHIN * best)
 
-    if model == "linear" and linear is not None:
-        pair = embed(PAPER_MODEL, linear, optics, left, right, points, detector_sigma_px)
+    if model == "linear":
+        fit = fit_rigid(PAPER_MODEL.points_from_pixels(left, right), points, source="Mi", target="R")
+        pair = embed(PAPER_MODEL, fit, optics, left, right, points, detector_sigma_px)
     else:
         pair = _fit_pair(model, optics, points, left, right, detector_sigma_px)
     leave_one_out = np.linalg.norm(pair.points_from_pixels(left_px, right_px)[0] - points_mm, axis=1)
-    leave_one_out[used] = held_out[model]
-    return _report(pair, model, candidates, used, leave_one_out, points_mm, left_px, right_px, handedness)
+    leave_one_out[used] = held_out[model].mm
+    candidates_mm = {name: _rms(errors.mm) for name, errors in candidates.items()}
+    return _report(pair, model, candidates_mm, used, leave_one_out, points_mm, left_px, right_px, handedness)
 
 
 def fit_paper(
@@ -176,28 +174,34 @@ def embed(
     points_mm: Array,
     detector_sigma_px: float,
 ) -> CameraPair:
-    """The linear model behind a rigid transform, as the affine camera pair that it is."""
-
-    def parameters(turn: Array, shift: Array) -> Array:
+    """The linear model behind a rigid transform, as the affine camera pair that it is, with its covariance."""
+    values = _linear_eyes(model, fit.transform, optics)
+    source_center, step, columns = fit.source_mm.mean(axis=0), 1e-6, []
+    for change in np.eye(6) * step:
         # The fit's error turns the points about their centre and shifts that centre.
-        rotation = Rotation.from_rotvec(turn).as_matrix() @ fit.transform.rotation
-        center = fit.transform.inverse().apply(fit.center_mm)
-        basis = np.array(optics.origin_mm) + np.vstack([np.zeros(3), np.eye(3)])
-        eyes = model.project(center + (basis - fit.center_mm - shift) @ rotation)
-        result = np.zeros(2 * N_PARAMETERS)
-        for start, eye in zip((0, N_PARAMETERS), eyes, strict=True):
-            result[start : start + 2] = eye[0] - np.array(optics.center_px)
-            result[start + 2 : start + 8] = (eye[1:] - eye[0]).T.ravel()
-        return result
-
-    values = parameters(np.zeros(3), np.zeros(3))
-    step = 1e-6
-    jacobian = np.stack([(parameters(e[:3] * step, e[3:] * step) - values) / step for e in np.eye(6)], axis=1)
-    pair = CameraPair(optics, values[:N_PARAMETERS], values[N_PARAMETERS:], np.zeros((24, 24)), 0.0)
+        rotation = Rotation.from_rotvec(change[:3]).as_matrix() @ fit.transform.rotation
+        shift = fit.center_mm + change[3:] - rotation @ source_center
+        columns.append((_linear_eyes(model, RigidTransform("R", "Mi", rotation, shift), optics) - values) / step)
+    jacobian = np.stack(columns, axis=1)
+    pair = _bare_pair(optics, values[:N_PARAMETERS], values[N_PARAMETERS:])
     residuals = np.hstack([left_px, right_px]) - np.hstack(pair.project(points_mm))
     sigma = _sigma_px(residuals, 6, detector_sigma_px)
     spread = fit.covariance_for(model.covariance_mm2(sigma))
     return CameraPair(optics, pair.left, pair.right, jacobian @ spread @ jacobian.T, sigma)
+
+
+def _linear_eyes(model: StereoModel, transform: RigidTransform, optics: Optics) -> Array:
+    """(24,) parameters of both eyes."""
+    basis = np.array(optics.origin_mm) + np.vstack([np.zeros(3), np.eye(3)])
+    result = np.zeros(2 * N_PARAMETERS)
+    for start, pixels in zip((0, N_PARAMETERS), model.project(transform.inverse().apply(basis)), strict=True):
+        result[start : start + 2] = pixels[0] - np.array(optics.center_px)
+        result[start + 2 : start + 8] = (pixels[1:] - pixels[0]).T.ravel()
+    return result
+
+
+def _bare_pair(optics: Optics, left: Array, right: Array) -> CameraPair:
+    return CameraPair(optics, left, right, np.zeros((2 * N_PARAMETERS, 2 * N_PARAMETERS)), 0.0)
 
 
 def _fit_pair(
@@ -245,24 +249,34 @@ def free_basis(model: str, eye: Array) -> Array:
     return basis
 
 
-def _leave_one_out(model: str, optics: Optics, points: Array, left: Array, right: Array) -> Array:
-    errors = np.full(len(points), np.inf)
-    for i in range(len(points)):
-        kept = np.arange(len(points)) != i
+@dataclass(frozen=True, eq=False)
+class _HeldOut:
+    """Each setpoint against the fit to all others; infinite where these do not determine the model."""
+
+    mm: Array
+    """(n,): distance of the triangulated point."""
+    px: Array
+    """(n,): distance of the four pixel coordinates."""
+
+
+def _held_out(model: str, optics: Optics, points: Array, left: Array, right: Array) -> _HeldOut:
+    n = len(points)
+    mm, px = np.full(n, np.inf), np.full(n, np.inf)
+    in_mi = PAPER_MODEL.points_from_pixels(left, right)
+    for i in range(n):
+        kept, one = np.arange(n) != i, slice(i, i + 1)
         if spread_mm(points[kept])[2] < MIN_SPREAD_MM:
             continue
-        eyes = [_fit_eye(model, optics, points[kept], pixels[kept])[0] for pixels in (left, right)]
-        pair = CameraPair(optics, eyes[0], eyes[1], np.zeros((24, 24)), 0.0)
-        errors[i] = np.linalg.norm(pair.points_from_pixels(left[i : i + 1], right[i : i + 1])[0][0] - points[i])
-    return errors
-
-
-def _linear_candidate(points: Array, left: Array, right: Array) -> LandmarkFit | None:
-    """The paper's model, where its constants are near enough to fit at all."""
-    try:
-        return fit_rigid(PAPER_MODEL.points_from_pixels(left, right), points, source="Mi", target="R")
-    except CalibrationError:
-        return None
+        if model == "linear":
+            eyes = _linear_eyes(PAPER_MODEL, align(in_mi[kept], points[kept], "Mi", "R"), optics)
+            pair = _bare_pair(optics, eyes[:N_PARAMETERS], eyes[N_PARAMETERS:])
+        else:
+            pair = _bare_pair(
+                optics, *(_fit_eye(model, optics, points[kept], pixels[kept])[0] for pixels in (left, right))
+            )
+        mm[i] = np.linalg.norm(pair.points_from_pixels(left[one], right[one])[0] - points[one])
+        px[i] = np.linalg.norm(np.hstack([left[one], right[one]]) - np.hstack(pair.project(points[one])))
+    return _HeldOut(mm, px)
 
 
 def _inliers(optics: Optics, points: Array, left: Array, right: Array, detector_sigma_px: float) -> Array:
@@ -340,8 +354,8 @@ def _require_motion(left: Array, right: Array) -> None:
         extent = np.linalg.svd(pixels - pixels.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(pixels))
         if not extent >= _MIN_MOTION_PX:
             raise CalibrationError(
-                f"calibration: the robot moved and the drill stayed within {extent:.1f} px (RMS) of one place or line in "
-                f"the {name} picture, at least {_MIN_MOTION_PX:g} px needed: frozen picture, or not the drill that is seen"
+                f"calibration: the robot moved, yet the drill stayed within {extent:.1f} px (RMS) of one place or line "
+                f"in the {name} picture, at least {_MIN_MOTION_PX:g} px needed: frozen picture, or not the drill"
             )
 
 

@@ -22,7 +22,7 @@ _AFFINE = slice(2, 8)
 _W = slice(8, 11)
 _K = 11
 _CHUNK = 20_000
-_STEPS = 4
+_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -36,30 +36,44 @@ class Optics:
 
 def project_eye(parameters: Array, optics: Optics, points_mm: Array) -> Array:
     """Pixels (n, 2) of points (n, 3) in {R}."""
-    d = points_mm - np.array(optics.origin_mm)
-    q = (parameters[_A] + d @ parameters[_AFFINE].reshape(2, 3).T) / (1 + d @ parameters[_W])[:, None]
-    growth = 1 + parameters[_K] * (q**2).sum(axis=1) / optics.half_diagonal_px**2
-    return np.asarray(np.array(optics.center_px) + q * growth[:, None])
+    return _Rays(parameters, optics, points_mm).pixels
 
 
 def eye_jacobians(parameters: Array, optics: Optics, points_mm: Array) -> tuple[Array, Array, Array]:
     """Pixels (n, 2), their derivatives by the point (n, 2, 3) and by the twelve parameters (n, 2, 12)."""
-    d = points_mm - np.array(optics.origin_mm)
-    affine, w, k = parameters[_AFFINE].reshape(2, 3), parameters[_W], parameters[_K] / optics.half_diagonal_px**2
-    depth = (1 + d @ w)[:, None, None]
-    q = (parameters[_A] + d @ affine.T) / depth[:, :, 0]
-    square = (q**2).sum(axis=1)
-    pixels = np.array(optics.center_px) + q * (1 + k * square)[:, None]
-    bend = (1 + k * square)[:, None, None] * np.eye(2) + 2 * k * q[:, :, None] * q[:, None, :]
+    rays = _Rays(parameters, optics, points_mm)
+    return rays.pixels, rays.by_point(), rays.by_parameters()
 
-    by_q = np.zeros((len(d), 2, N_PARAMETERS))
-    by_q[:, 0, 0] = by_q[:, 1, 1] = 1.0
-    by_q[:, 0, 2:5] = by_q[:, 1, 5:8] = d
-    by_q[:, :, _W] = -q[:, :, None] * d[:, None, :]
-    by_parameters = bend @ (by_q / depth)
-    by_parameters[:, :, _K] = q * square[:, None] / optics.half_diagonal_px**2
-    by_point = bend @ ((affine - q[:, :, None] * w) / depth)
-    return pixels, by_point, by_parameters
+
+class _Rays:
+    """The intermediate values of one eye's projection of points (n, 3)."""
+
+    def __init__(self, parameters: Array, optics: Optics, points_mm: Array) -> None:
+        self.d = points_mm - np.array(optics.origin_mm)
+        self.affine, self.w = parameters[_AFFINE].reshape(2, 3), parameters[_W]
+        self.k = parameters[_K] / optics.half_diagonal_px**2
+        self.depth = (1 + self.d @ self.w)[:, None, None]
+        self.q = (parameters[_A] + self.d @ self.affine.T) / self.depth[:, :, 0]
+        self.square = (self.q**2).sum(axis=1)
+        self.pixels: Array = np.array(optics.center_px) + self.q * (1 + self.k * self.square)[:, None]
+        self.half_diagonal_px = optics.half_diagonal_px
+
+    def _bend(self) -> Array:
+        """(n, 2, 2): how distortion turns a change of q into one of the pixel."""
+        outer = self.q[:, :, None] * self.q[:, None, :]
+        return np.asarray((1 + self.k * self.square)[:, None, None] * np.eye(2) + 2 * self.k * outer)
+
+    def by_point(self) -> Array:
+        return np.asarray(self._bend() @ ((self.affine - self.q[:, :, None] * self.w) / self.depth))
+
+    def by_parameters(self) -> Array:
+        by_q = np.zeros((len(self.d), 2, N_PARAMETERS))
+        by_q[:, 0, 0] = by_q[:, 1, 1] = 1.0
+        by_q[:, 0, 2:5] = by_q[:, 1, 5:8] = self.d
+        by_q[:, :, _W] = -self.q[:, :, None] * self.d[:, None, :]
+        result = np.asarray(self._bend() @ (by_q / self.depth))
+        result[:, :, _K] = self.q * self.square[:, None] / self.half_diagonal_px**2
+        return result
 
 
 def optical_axis(parameters: Array) -> Array:
@@ -169,10 +183,9 @@ class CameraPair:
         seen = np.hstack([left, right])
         points = np.tile(np.array(self.optics.origin_mm), (len(seen), 1))
         for _ in range(_STEPS):
-            left_px, left_by, _ = eye_jacobians(self.left, self.optics, points)
-            right_px, right_by, _ = eye_jacobians(self.right, self.optics, points)
-            by_point = np.concatenate([left_by, right_by], axis=1)
-            error = (seen - np.hstack([left_px, right_px]))[:, :, None]
+            eyes = [_Rays(eye, self.optics, points) for eye in (self.left, self.right)]
+            by_point = np.concatenate([eye.by_point() for eye in eyes], axis=1)
+            error = (seen - np.hstack([eye.pixels for eye in eyes]))[:, :, None]
             normal, gradient = by_point.transpose(0, 2, 1) @ by_point, by_point.transpose(0, 2, 1) @ error
             points = points + np.linalg.solve(normal, gradient)[:, :, 0]
         return points

@@ -89,7 +89,7 @@ def fit_rigid(
                 "needed; add a point beside that line"
             )
     handedness = _handedness(a, b)
-    transform = _align(a, b, source, target)
+    transform = align(a, b, source, target)
     residuals = b - transform.apply(a)
     spread = spread_mm(a)
     return LandmarkFit(
@@ -104,7 +104,8 @@ def fit_rigid(
     )
 
 
-def _align(a: Array, b: Array, source: str, target: str) -> RigidTransform:
+def align(a: Array, b: Array, source: str, target: str) -> RigidTransform:
+    """The least-squares transform of points ``a`` (n, 3) onto ``b``; nothing is checked."""
     a_center, b_center = a.mean(axis=0), b.mean(axis=0)
     rotation = Rotation.align_vectors(b - b_center, a - a_center)[0].as_matrix()
     return RigidTransform(target, source, rotation, b_center - rotation @ a_center)
@@ -137,7 +138,7 @@ def _leave_one_out(a: Array, b: Array, source: str, target: str) -> Array:
     for i in range(len(a)):
         kept = np.arange(len(a)) != i
         if kept.sum() >= 3 and min(spread_mm(a[kept])[1], spread_mm(b[kept])[1]) >= MIN_SPREAD_MM:
-            errors[i] = np.linalg.norm(b[i] - _align(a[kept], b[kept], source, target).apply(a[i]))
+            errors[i] = np.linalg.norm(b[i] - align(a[kept], b[kept], source, target).apply(a[i]))
     return errors
 
 

@@ -157,22 +157,25 @@ def calibrate(
         if progress is not None:
             progress(done, len(setpoints_mm), f"{target} mm: {note}")
     _lift(motion, max(target[2] for target in setpoints_mm), feed_mm_per_s)
+    sightings, mispaired = _paired(sightings)
+    hidden += [f"{tuple(sighting.point_mm.tolist())}: the eyes see it in rows apart" for sighting in mispaired]
     if len(hidden) > _MAX_HIDDEN_SHARE * len(setpoints_mm):
         raise CalibrationError(
             f"calibration: the drill was not seen at {len(hidden)} of {len(setpoints_mm)} setpoints "
             f"({'; '.join(hidden)}); check focus, light and that the drill is in both pictures"
         )
-    fit = _fit(_paired(sightings), recipe, camera.size_px)
+    fit = _fit(sightings, recipe, camera.size_px)
     rig = RigIdentity(
         motion=motion.identity, camera=camera.identity, spindle=spindle_identity, center_from_tip_mm=tool_offset_mm
     )
-    calibration = _calibration(_paired(sightings), fit, recipe, rig, provenance or Provenance())
+    calibration = _calibration(sightings, fit, recipe, rig, provenance or Provenance())
     recorder.event(
         "calibration.fit",
         model=fit.model,
         rmse_mm=fit.rmse_mm,
         predicted_rmse_mm=calibration.predicted_rmse_mm,
         sigma_px=fit.pair.sigma_px,
+        left_out=hidden,
         outliers_mm=[list(setpoint.point_mm) for setpoint in calibration.outliers],
     )
     _require_paper_gates(fit)
@@ -309,10 +312,14 @@ def _sight(
     )
 
 
-def _paired(sightings: Sequence[Sighting]) -> list[Sighting]:
-    """The sightings whose two eyes can be looking at one thing: their rows differ as at the other setpoints."""
-    rows = np.array([sighting.left_px[1] - sighting.right_px[1] for sighting in sightings])
-    return [s for s, row in zip(sightings, rows, strict=True) if abs(row - np.median(rows)) <= _MISPAIRED_PX]
+def _paired(sightings: Sequence[Sighting]) -> tuple[list[Sighting], list[Sighting]]:
+    """The sightings whose two eyes can be looking at one thing, their rows differing as elsewhere; and the others."""
+    if not sightings:
+        return [], []
+    rows = [sighting.left_px[1] - sighting.right_px[1] for sighting in sightings]
+    apart = np.abs(rows - np.median(rows)) > _MISPAIRED_PX
+    good = [sighting for sighting, is_apart in zip(sightings, apart, strict=True) if not is_apart]
+    return good, [sighting for sighting, is_apart in zip(sightings, apart, strict=True) if is_apart]
 
 
 def _fit(sightings: Sequence[Sighting], recipe: Recipe, size_px: tuple[int, int]) -> PairFit:

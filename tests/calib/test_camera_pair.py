@@ -81,13 +81,15 @@ def test_the_simplest_model_that_explains_the_setpoints_is_chosen(microscope, mo
     assert found.candidates_mm[model] == pytest.approx(found.rmse_mm)
 
 
-def test_the_linear_model_is_chosen_on_its_own_microscope():
-    in_mi = np.stack([SETPOINTS[:, 1] + 10.0, 5.0 - SETPOINTS[:, 0], SETPOINTS[:, 2]], axis=1)
+def test_the_linear_model_is_chosen_on_its_own_microscope_when_setpoints_are_few():
+    setpoints = SETPOINTS[[0, 3, 7, 10, 12, 15]]
+    in_mi = np.stack([setpoints[:, 1] + 10.0, 5.0 - setpoints[:, 0], setpoints[:, 2]], axis=1)
     rng = np.random.default_rng(5)
     left, right = (pixels + rng.normal(0, 0.5, pixels.shape) for pixels in PAPER_MODEL.project(in_mi))
-    found = fit_camera_pair(SETPOINTS, left, right, size_px=SIZE_PX, detector_sigma_px=0.5)
+    found = fit_camera_pair(setpoints, left, right, size_px=SIZE_PX, detector_sigma_px=0.5)
     assert found.model == "linear"
     assert found.handedness == "right-handed"
+    assert found.rmse_mm < 0.4
 
 
 def test_sixteen_setpoints_at_half_a_pixel_leave_less_than_a_tenth_of_a_millimetre():
@@ -107,7 +109,7 @@ def test_sixteen_setpoints_at_half_a_pixel_leave_less_than_a_tenth_of_a_millimet
 def test_predicted_error_is_the_true_error():
     """On average over rigs, for the transform's share and a new detection's together and along each axis."""
     true, predicted = [], []
-    for seed in range(30):
+    for seed in range(20):
         rng = np.random.default_rng(seed)
         microscope = drawn_microscope(rng)
         found = fit(microscope, noise_px=0.5, seed=seed, detector_sigma_px=0.5)
