@@ -81,6 +81,8 @@ ERRORS: dict[int, str] = {
     79: "not allowed during a critical event",
 }
 
+HOMING_REQUIRED = 11
+
 ALARMS: dict[int, AlarmMeaning] = {
     1: AlarmMeaning("hard limit switch pressed", position_lost=True),
     2: AlarmMeaning("target beyond the soft limits", position_lost=False),
@@ -92,7 +94,7 @@ ALARMS: dict[int, AlarmMeaning] = {
     8: AlarmMeaning("switch still pressed after the homing pull-off", position_lost=True),
     9: AlarmMeaning("homing found no switch within the search distance", position_lost=True),
     10: AlarmMeaning("emergency stop", position_lost=True),
-    11: AlarmMeaning("homing is required", position_lost=True),
+    HOMING_REQUIRED: AlarmMeaning("homing is required", position_lost=True),
     12: AlarmMeaning("limit switch pressed at start", position_lost=True),
     13: AlarmMeaning("probe protection", position_lost=True),
     14: AlarmMeaning("spindle not at speed", position_lost=False),

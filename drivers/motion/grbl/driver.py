@@ -21,6 +21,7 @@ from drivers.errors import (
     ProtocolError,
 )
 from drivers.motion.grbl import machine, protocol
+from drivers.motion.grbl.codes import HOMING_REQUIRED
 from drivers.motion.grbl.queue import BlockQueue
 from drivers.motion.grbl.session import GrblSession
 from drivers.motion.interface import MotionController, MotionState, MotionStatus, Travel, Vector
@@ -78,9 +79,10 @@ class GrblController(MotionController):
         self._queue = BlockQueue()
         self._homed = False
         self._held = False
+        self._planner_blocks = 0
         self._floor_mm: float | None = None
         self._closed = False
-        self._info = protocol.BuildInfo("", "", "", 0, 0, is_hal=False)
+        self._info = protocol.BuildInfo("", "", "", is_hal=False)
         try:
             self._session.reset_and_release()
             self._info = self._read_build_info()
@@ -91,7 +93,11 @@ class GrblController(MotionController):
             machine.check_required(line.name, self._settings, self._info)
             self._full_travel_mm = self._settings[machine.FLOOR_SETTING]
             self._travel = self._read_travel()
-            self._session.query()
+            self._planner_blocks = self._session.query().blocks_free or 0
+            if self._planner_blocks < 2:
+                raise ProtocolError(
+                    f"{line.name}: status reports do not tell the planner's room (Bf); is $10 writable?"
+                )
         except BaseException:
             self._session.close()
             raise
@@ -123,7 +129,7 @@ class GrblController(MotionController):
         self._homed = False
         if self._floor_mm is not None:
             # The search for the switches is as long as the travel setting says.
-            self._write_setting(machine.FLOOR_SETTING, self._full_travel_mm)
+            self._write_z_travel(self._full_travel_mm)
         self._find_switches()
         if self._floor_mm is not None:
             self._write_floor(self._floor_mm)
@@ -247,7 +253,7 @@ class GrblController(MotionController):
                 f"{session.name}: a floor can only be written at standstill; wait_until_idle() first"
             )
         if z_mm is None:
-            self._write_setting(machine.FLOOR_SETTING, self._full_travel_mm)
+            self._write_z_travel(self._full_travel_mm)
             self._floor_mm = None
         else:
             self._check_floor(z_mm)
@@ -256,6 +262,7 @@ class GrblController(MotionController):
         self._travel = self._read_travel()
         if self._info.is_hal and self._homed:
             self._find_switches()
+        self._session.tolerated_alarm = None
 
     def close(self) -> None:
         """Bring the machine to rest, restore the floor, give the line back."""
@@ -269,7 +276,7 @@ class GrblController(MotionController):
             if self._floor_mm is not None and not self._session.is_lost:
                 if self._session.fault is not None:
                     self._session.reset_and_release()
-                self._write_setting(machine.FLOOR_SETTING, self._full_travel_mm)
+                self._write_z_travel(self._full_travel_mm)
         except ConnectionLostError:
             pass  # There is nobody left to bring to rest.
         finally:
@@ -324,7 +331,12 @@ class GrblController(MotionController):
     def _write_floor(self, z_mm: float) -> None:
         # Rounded up: the firmware keeps three decimals, and a floor is never lower than asked.
         low_mm = math.ceil((z_mm + self._origin_mm[2]) / _STEP_MM - 1e-6) * _STEP_MM
-        self._write_setting(machine.FLOOR_SETTING, round(self._span(2).travel_for(low_mm), 3))
+        self._write_z_travel(round(self._span(2).travel_for(low_mm), 3))
+
+    def _write_z_travel(self, travel_mm: float) -> None:
+        # grblHAL forgets that Z was homed, and locks itself if it is set to insist on homing ($22).
+        self._session.tolerated_alarm = HOMING_REQUIRED
+        self._write_setting(machine.FLOOR_SETTING, travel_mm)
 
     def _find_switches(self) -> None:
         try:
@@ -338,6 +350,7 @@ class GrblController(MotionController):
             raise DeviceFaultError(
                 f"{self._session.name}: state {state} after homing; Idle is due; look at the machine"
             )
+        self._session.tolerated_alarm = None
         self._forget_queue()
         self._homed = True
 
@@ -372,7 +385,7 @@ class GrblController(MotionController):
             self._session.pump(0.01)
 
     def _wait_for_room(self) -> None:
-        limit = min(MAX_BLOCKS, self._info.planner_blocks - 1)
+        limit = min(MAX_BLOCKS, self._planner_blocks - 1)
         while not self._held and len(self._queue) >= limit:
             report = self._session.query()
             self._session.check()
@@ -388,7 +401,7 @@ class GrblController(MotionController):
 
     def _forget_executed(self, report: protocol.Report) -> None:
         if report.blocks_free is not None:
-            self._queue.keep_newest(self._info.planner_blocks - report.blocks_free)
+            self._queue.keep_newest(self._planner_blocks - report.blocks_free)
 
     def _forget_queue(self) -> None:
         self._queue.clear()
@@ -417,7 +430,7 @@ class GrblController(MotionController):
             return MotionState.HELD if report.substate == 0 else MotionState.HOLDING
         if report.state == "Idle":
             # A block that is planned already starts a moment later.
-            planned = report.blocks_free is not None and report.blocks_free < self._info.planner_blocks
+            planned = report.blocks_free is not None and report.blocks_free < self._planner_blocks
             return MotionState.MOVING if planned or self._session.has_unacknowledged else MotionState.IDLE
         return _STATES.get(report.state, MotionState.OTHER)
 

@@ -89,7 +89,7 @@ class Report:
     substate: int | None
     machine_mm: Vector
     blocks_free: int | None
-    rx_bytes_free: int | None
+    """Room in the planner, None where ``$10`` does not ask for it."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def _parse_report(line: str) -> Report:
     if state is None or state[1] not in STATES:
         raise ProtocolError(f"status report {line!r}: state {head!r} is none of {', '.join(sorted(STATES))}")
     machine_mm: Vector | None = None
-    buffers: tuple[int, ...] | None = None
+    blocks_free: int | None = None
     for field in fields:
         key, _, text = field.partition(":")
         if key == "MPos":
@@ -155,15 +155,14 @@ def _parse_report(line: str) -> Report:
             counts = text.split(",")
             if len(counts) != 2 or not all(count.isdecimal() for count in counts):
                 raise ProtocolError(f"status report {line!r}: Bf {text!r} is not two counts")
-            buffers = tuple(int(count) for count in counts)
+            blocks_free = int(counts[0])
     if machine_mm is None:
         raise ProtocolError(f"status report {line!r} has no MPos; mill needs $10 with bit 0 set")
     return Report(
         state=state[1],
         substate=None if state[2] is None else int(state[2]),
         machine_mm=machine_mm,
-        blocks_free=None if buffers is None else buffers[0],
-        rx_bytes_free=None if buffers is None else buffers[1],
+        blocks_free=blocks_free,
     )
 
 
@@ -201,8 +200,7 @@ class BuildInfo:
     user_text: str
     """Free text that the owner may store with ``$I=``; the only serial number that GRBL has."""
     options: str
-    planner_blocks: int
-    rx_bytes: int
+    """Letters of what was chosen when the firmware was built."""
     is_hal: bool
 
     @property
@@ -217,21 +215,18 @@ def build_info(feedback: list[Feedback]) -> BuildInfo:
     """The answer to ``$I``.
 
     Raises:
-        ProtocolError: VER or OPT is missing or malformed, or the firmware does not speak 1.1.
+        ProtocolError: VER or OPT is missing, or the firmware does not speak 1.1.
     """
     texts = {message.kind: message.text for message in feedback}
     version, _, user_text = texts.get("VER", "").partition(":")
     if not version.startswith("1.1"):
         raise ProtocolError(f"firmware version {version!r} found in $I; mill speaks GRBL 1.1 only")
-    fields = texts.get("OPT", "").split(",")
-    if len(fields) < 3 or not all(field.isdecimal() for field in fields[1:3]):
-        raise ProtocolError(f"build options {texts.get('OPT', '')!r} found in $I; letters and two buffer sizes are due")
+    if "OPT" not in texts:
+        raise ProtocolError("no build options found in $I; [OPT:...] is due")
     return BuildInfo(
         version=version,
         user_text=user_text,
-        options=fields[0],
-        planner_blocks=int(fields[1]),
-        rx_bytes=int(fields[2]),
+        options=texts["OPT"].partition(",")[0],
         is_hal=texts.get("FIRMWARE") == "grblHAL",
     )
 

@@ -44,6 +44,7 @@ class GrblSession:
         self._unacknowledged: list[str] = []
         self._refusal: str | None = None
         self._replies: list[protocol.Message] = []
+        self._heard = 0
         self._expects_banner = True
         self._banners = 0
         self._strikes = 0
@@ -55,6 +56,8 @@ class GrblSession:
         """Latched: the controller stopped, or was stopped. Homing releases it."""
         self.upset: str | None = None
         """The queue is not what the host thinks it is. Dropping the queue, or homing, releases it."""
+        self.tolerated_alarm: int | None = None
+        """An alarm that the caller brings about and deals with."""
         self.report: protocol.Report | None = None
         self.report_time_s = 0.0
 
@@ -190,15 +193,14 @@ class GrblSession:
             self.pump_until(lambda: self._reports > seen, asked_s + BROKEN_REPORT_S - self._clock.now_s())
         return None
 
-    def reset(self) -> list[protocol.Message]:
-        """0x18, and wait for the banner, once more if none comes; what was said on the way.
+    def reset(self) -> None:
+        """0x18, and wait for the banner, once more if none comes.
 
         Lines on their way and the planner's queue are gone afterwards. A fault that latches on the way stays.
 
         Raises:
             DeviceTimeoutError: no banner.
         """
-        self._replies.clear()
         seen = self._banners
         for _ in range(2):
             self.urgent(protocol.RESET)
@@ -216,7 +218,6 @@ class GrblSession:
         self._unacknowledged.clear()
         self._strikes = 0
         self.upset = None
-        return list(self._replies)
 
     def reset_and_release(self) -> None:
         """Reset, and forget what has latched before or because of it; a halt from another thread meanwhile stays."""
@@ -233,13 +234,17 @@ class GrblSession:
         self._line.close()
 
     def _wait_for_quiet(self) -> None:
-        heard = -1
-        while len(self._replies) > heard:
-            heard = len(self._replies)
+        # A controller that reports by itself is never quiet.
+        for _ in range(20):
+            heard = self._heard
             self.pump(QUIET_S)
+            if self._heard == heard:
+                break
 
     def _take(self, message: protocol.Message) -> None:
-        self._replies.append(message)
+        self._heard += 1
+        if not isinstance(message, protocol.Report):
+            self._replies.append(message)
         match message:
             case protocol.Report():
                 self._strikes = 0
@@ -249,7 +254,7 @@ class GrblSession:
                 self.on_report(message)
             case protocol.Ok() | protocol.Refused():
                 self._acknowledge(message)
-            case protocol.Alarm(code):
+            case protocol.Alarm(code) if code != self.tolerated_alarm:
                 self.latch(alarm_words(code), position_lost=alarm_meaning(code).position_lost)
             case protocol.Welcome():
                 self._banners += 1

@@ -1,0 +1,93 @@
+import os
+from pathlib import Path
+
+import pytest
+from pytest_mock import MockerFixture
+from serial.tools.list_ports_common import ListPortInfo
+
+from drivers.discovery import find_devices
+from drivers.lock import DeviceLock
+
+
+@pytest.fixture
+def root(tmp_path: Path, mocker: MockerFixture) -> Path:
+    """A machine with an FTDI adapter, a CAN interface and a camera with two nodes, as sysfs shows them."""
+    usb = tmp_path / "sys/devices/usb1"
+    for name, attributes in {
+        "1-2": {"idVendor": "1d50", "idProduct": "606f", "serial": "0042", "product": "candleLight"},
+        "1-3": {"idVendor": "046d", "idProduct": "0825", "product": "Microscope"},
+    }.items():
+        (usb / name / f"{name}:1.0").mkdir(parents=True)
+        for key, value in attributes.items():
+            (usb / name / key).write_text(value + "\n")
+    for interface, kind, flags in (("can0", "280", "0x1003"), ("can1", "280", "0x1002"), ("eth0", "1", "0x1003")):
+        net = tmp_path / "sys/class/net" / interface
+        net.mkdir(parents=True)
+        (net / "type").write_text(kind + "\n")
+        (net / "flags").write_text(flags + "\n")
+        if interface == "can0":
+            (net / "device").symlink_to(usb / "1-2/1-2:1.0")
+    for index in (0, 1):
+        node = tmp_path / f"sys/class/video4linux/video{index}"
+        node.mkdir(parents=True)
+        (node / "index").write_text(f"{index}\n")
+        (node / "name").write_text("Microscope: USB\n")
+        (node / "device").symlink_to(usb / "1-3/1-3:1.0")
+    dev = tmp_path / "dev"
+    (dev / "v4l/by-path").mkdir(parents=True)
+    (dev / "serial/by-id").mkdir(parents=True)
+    for name in ("ttyUSB0", "video0", "video1"):
+        (dev / name).touch()
+    (dev / "v4l/by-path/pci-usb-0:3:1.0").symlink_to("../../video0")
+    (dev / "mill-left").symlink_to("video0")
+    (dev / "serial/by-id/usb-FTDI").symlink_to("../../ttyUSB0")
+    port = ListPortInfo(str(dev / "ttyUSB0"))
+    port.vid, port.pid, port.serial_number, port.product = 0x0403, 0x6001, "A10NB2XY", "FT232R"
+    mocker.patch("serial.tools.list_ports.comports", return_value=[port])
+    return tmp_path
+
+
+def test_each_kind_is_found_with_what_tells_it_apart(root: Path) -> None:
+    port, can0, can1, camera = find_devices(root=root)
+    assert (port.kind, port.usb_id, port.serial_number, port.product) == ("serial", "0403:6001", "A10NB2XY", "FT232R")
+    assert port.stable_paths == (str(root / "dev/serial/by-id/usb-FTDI"),)
+    assert (can0.kind, can0.path, can0.usb_id, can0.serial_number, can0.problem) == (
+        "can",
+        "can0",
+        "1d50:606f",
+        "0042",
+        None,
+    )
+    assert "ip link set can1 up" in (can1.problem or "")
+    assert (camera.kind, camera.path, camera.usb_id) == ("camera", str(root / "dev/video0"), "046d:0825")
+    assert camera.stable_paths == (str(root / "dev/mill-left"), str(root / "dev/v4l/by-path/pci-usb-0:3:1.0"))
+    assert all(device.problem is None for device in (port, camera))
+
+
+def test_ports_that_no_bus_lists_are_found_by_name(root: Path) -> None:
+    pty = root / "dev/pts7"
+    pty.touch()
+    link = root / "dev/mill-motion"
+    link.symlink_to("ttyUSB0")
+    found = find_devices([str(pty), str(root / "absent"), str(link)], root=root)
+    assert [device.path for device in found if device.kind == "serial"] == [str(root / "dev/ttyUSB0"), str(pty)]
+
+
+def test_the_owner_and_a_missing_permission_are_told(root: Path, mocker: MockerFixture) -> None:
+    port = str(root / "dev/ttyUSB0")
+    lock = DeviceLock(port)
+    access = os.access
+    mocker.patch("os.access", lambda path, mode: path != port and access(path, mode))
+    found = find_devices(root=root)[0]
+    lock.release()
+    assert f"pid {os.getpid()}" in (found.owner or "")
+    assert "udev/README.md" in (found.problem or "")
+
+
+def test_a_node_that_is_gone_is_told(root: Path) -> None:
+    (root / "dev/ttyUSB0").unlink()
+    assert "plug it in" in (find_devices(root=root)[0].problem or "")
+
+
+def test_this_machine_can_be_looked_at() -> None:
+    assert all(device.path for device in find_devices())
