@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 ROOMS = ("drivers", "vision", "calib", "milling", "studies", "cli", "firmware_sim")
-MAY_KNOW_THE_EMULATOR = {"cli/rig.py", "cli/emulate.py"}
+MAY_KNOW_THE_EMULATOR = {"cli/emulate.py"}
 HEAVY = (
     "numpy",
     "scipy",
@@ -44,7 +44,7 @@ def imported(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("path", list(modules()), ids=lambda path: str(path.relative_to(ROOT)))
-def test_only_rig_emulate_and_studies_know_that_a_device_can_be_emulated(path: Path) -> None:
+def test_only_emulate_and_studies_know_that_a_device_can_be_emulated(path: Path) -> None:
     place = path.relative_to(ROOT).as_posix()
     if place in MAY_KNOW_THE_EMULATOR or place.startswith(("studies/", "firmware_sim/")):
         return
