@@ -5,6 +5,7 @@ decoded when somebody asks for the picture, and only the newest. V4L2 cameras ru
 and every setting is read back; a URL's camera is set up on its own side.
 """
 
+import atexit
 import logging
 import math
 import os
@@ -100,6 +101,8 @@ class OpenCvSource:
             raise
         self._thread = threading.Thread(target=self._grab, name=f"grab {device_or_url}", daemon=True)
         self._thread.start()
+        # A grabber that is still inside OpenCV when the interpreter goes away takes the whole process down.
+        atexit.register(self.close)
 
     @property
     def identity(self) -> str:
@@ -145,6 +148,7 @@ class OpenCvSource:
         if self._closing.is_set():
             return
         self._closing.set()
+        atexit.unregister(self.close)
         self._stream.interrupt()
         self._thread.join(_JOIN_S)
         if self._thread.is_alive():
@@ -303,8 +307,10 @@ class _V4l2Stream:
                     "that it is the capture node and not the metadata node (`v4l2-ctl --list-devices`)"
                 )
             self._set("pixel format", cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
-            self._set("width", cv2.CAP_PROP_FRAME_WIDTH, size_px[0])
+            # OpenCV keeps the width back until it knows the height.
+            self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, size_px[0])
             self._set("height", cv2.CAP_PROP_FRAME_HEIGHT, size_px[1])
+            self._check("width", cv2.CAP_PROP_FRAME_WIDTH, size_px[0])
             self._set("fps", cv2.CAP_PROP_FPS, fps)
             self._set("buffers", cv2.CAP_PROP_BUFFERSIZE, _BUFFERS)
             self._set("conversion by OpenCV", cv2.CAP_PROP_CONVERT_RGB, 0)
@@ -342,9 +348,11 @@ class _V4l2Stream:
         self._capture.release()
 
     def _set(self, name: str, key: int, value: float | None) -> None:
-        if value is None:
-            return
-        self._capture.set(key, value)
+        if value is not None:
+            self._capture.set(key, value)
+            self._check(name, key, value)
+
+    def _check(self, name: str, key: int, value: float) -> None:
         found = self._capture.get(key)
         if not math.isclose(found, value, rel_tol=1e-3, abs_tol=1e-3):
             raise ConfigError(

@@ -26,7 +26,8 @@ class FeignedCapture:
     def __init__(
         self, holds: dict[int, float] | None = None, *, opens: bool = True, stamp_s: float | None = None
     ) -> None:
-        self.properties: dict[int, float] = {}
+        self.properties: dict[int, float] = {cv2.CAP_PROP_FRAME_WIDTH: 640.0, cv2.CAP_PROP_FRAME_HEIGHT: 480.0}
+        self.width = 640.0
         self.order: list[int] = []
         self.holds = holds or {}
         self.opens = opens
@@ -41,6 +42,11 @@ class FeignedCapture:
 
     def set(self, key: int, value: float) -> bool:
         self.order.append(key)
+        if key == cv2.CAP_PROP_FRAME_WIDTH:  # as OpenCV does, it waits for the height
+            self.width = value
+            return True
+        if key == cv2.CAP_PROP_FRAME_HEIGHT:
+            self.properties[cv2.CAP_PROP_FRAME_WIDTH] = self.holds.get(cv2.CAP_PROP_FRAME_WIDTH, self.width)
         self.properties[key] = self.holds.get(key, value)
         return key not in self.holds
 
