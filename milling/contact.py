@@ -15,14 +15,14 @@ from milling.hands import Hands
 from milling.load import Idle
 
 STEP_MM = 0.01
-FEED_MM_S = 0.3
-NEAR_MM = 0.07
+FEED_MM_S = 0.4
+NEAR_MM = 0.06
 """Start above the predicted contact, once the surface's error is known."""
 SIGMAS = 4.0
 TRAVEL_FEED_MM_S = 15.0
 SETTLE_S = 0.5
 """After the run-up, until the drive's speed loop has come to rest."""
-BETWEEN_MM = 0.15
+BETWEEN_MM = 0.12
 """Lift before going to the next point."""
 APPROACH_FEED_MM_S = 2.0
 
@@ -100,7 +100,7 @@ class ContactFinder:
             if z < self.floor_z_mm:
                 raise PlanError(
                     f"point {index + 1}: no bone felt down to z = {self.floor_z_mm:.3f} mm, the lowest that the "
-                    "calibrated surface and the thickness prior permit; check that the drill turns, and that this is bone"
+                    "calibrated surface and the thickness prior permit; check that the drill turns and that it is bone"
                 )
             if not self._loaded((x, y, z), FEED_MM_S):
                 touched_at = None

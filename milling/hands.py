@@ -16,7 +16,7 @@ LIFT_MM = 0.1
 RETRACT_MM = 1.5
 RETRACT_FEED_MM_S = 15.0
 _POLL_S = 0.02
-_BEAT_S = 0.01
+_BEAT_S = 0.005
 _SPEED_SHARE = 0.15
 _STANDSTILL_RPM = 100.0
 
@@ -71,9 +71,10 @@ class Hands:
             DeviceTimeoutError: it does not arrive.
             Interrupted, DeviceError: as ``beat``.
         """
-        start = self.motion.status().position_mm
-        deadline_s = self.clock.now_s() + 3.0 + 3.0 * distance_mm(start, target_mm) / feed_mm_s
+        self.beat()
         self.motion.start_move(target_mm, feed_mm_per_s=feed_mm_s)
+        status = self.motion.status()
+        deadline_s = self.clock.now_s() + 3.0 + 3.0 * distance_mm(status.position_mm, target_mm) / feed_mm_s
         while True:
             self.beat()
             status = self.motion.status()

@@ -37,6 +37,7 @@ PAUSE_AFTER_S = 0.15
 """Frames older than this, and the drill leaves the bone."""
 GIVE_UP_AFTER_S = 2.0
 ENTER_FEED_MM_S = 1.0
+ACROSS_FEED_MM_S = 15.0
 IDLE_LAPS = 2
 _TICK_S = 0.004
 
@@ -57,7 +58,7 @@ class Permits(Witness, Protocol):
     def void(self, index: int) -> None:
         """The visit ended before the tip reached the point."""
 
-    def felt(self, index: int, *, ratio: float, above_idle: bool) -> None:
+    def felt(self, index: int, *, ratio: float | None, above_idle: bool) -> None:
         """The load of a pass that took a bite."""
 
     def cut_mm(self, index: int) -> float:
@@ -242,20 +243,14 @@ class Laps:
             where = (self._at + (at - self._at) * (report.time_s - self._at_s) / span_s) / self._per_point
             before = floor(where)
             share = where - before
-            i, j = before % self._n, (before + 1) % self._n
-            self._meter.report(
-                j if share >= 0.5 else i,
-                report.torque_fraction,
-                bite_mm=float((1 - share) * self._bite[i] + share * self._bite[j]),
-                depth_mm=float((1 - share) * self._depth[i] + share * self._depth[j]),
-            )
+            nearest = before + 1 if share >= 0.5 else before
+            self._meter.report(nearest % self._n, report.torque_fraction, where - nearest)
 
     def _leave(self, index: int, time_s: float) -> None:
-        bite, depth = float(self._bite[index]), float(self._depth[index])
-        self._permits.passed(index, depth_mm=depth, now_s=time_s)
+        self._permits.passed(index, depth_mm=float(self._depth[index]), now_s=time_s)
         if self._meter is None:
             return
-        feeling = self._meter.leave(index, bite_mm=bite, depth_mm=depth)
+        feeling = self._meter.leave(index, bite_mm=self._bite.tolist(), depth_mm=self._depth.tolist())
         if feeling is not None:
             self._permits.felt(index, ratio=feeling.ratio, above_idle=feeling.above_idle)
 
@@ -285,8 +280,9 @@ class Laps:
         top = float(np.max(self.top_z_mm)) + LIFT_MM
         position = self._hands.motion.status().position_mm
         if position[2] < top:
-            self._hands.go((position[0], position[1], top), self._job.feed_mm_s)
-        self._hands.go((x, y, max(top, position[2])), 2 * self._job.feed_mm_s)
+            self._hands.go((position[0], position[1], top), ACROSS_FEED_MM_S)
+        self._hands.go((x, y, max(top, position[2])), ACROSS_FEED_MM_S)
+        self._hands.go((x, y, z + LIFT_MM), ACROSS_FEED_MM_S)
         status = self._hands.go((x, y, z), ENTER_FEED_MM_S)
         self._vertices.clear()
         self._vertices.append((number, (x, y, z)))

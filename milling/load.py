@@ -7,12 +7,19 @@ measured to expected load falls at once at breakthrough, while the load itself o
 """
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 from statistics import fmean, median, pstdev
 
 LEAST_SAMPLES = 3
-_HISTORY = 12
+SETTLED_MM = 0.06
+"""Depth below contact from which the load follows the chord: above it, contact's uncertainty rules."""
+COMPLIANCE = 0.6
+"""How far bone gives way under a pass, as a share of what the pass cuts: 20 N/mm at published feed and removal rate.
+Too much here only delays a droop by a pass or two after a pause; too little reads a pause as a breakthrough."""
+_HISTORY = 8
+_OWN = 4
 
 
 @dataclass(frozen=True)
@@ -42,47 +49,78 @@ def chord_mm(depth_mm: float, ball_radius_mm: float) -> float:
 
 @dataclass(frozen=True)
 class Feeling:
-    """One pass of one point: load per expected load, against bone; whether there was any; from how many reports."""
+    """One pass of one point: load against what bone takes, None while unknown; whether there was any; its reports."""
 
-    ratio: float
+    ratio: float | None
     above_idle: bool
     samples: int
 
 
 class LoadMeter:
-    """Gathers reports near each point and compares each pass with the bone cut before it."""
+    """Gathers reports near each point and compares each pass with the bone cut before it.
+
+    Bone is a spring: what it gave way by under the last pass, the next one cuts as well. A pass that follows one
+    without a bite therefore cuts less than it was lowered by; not to expect that would read as a breakthrough.
+    """
 
     def __init__(self, n_points: int, idle: Idle, *, ball_radius_mm: float, sound_depth_mm: float) -> None:
         """Compare with passes that ended above ``sound_depth_mm``, where there must be bone below."""
         self.idle = idle
+        self._n = n_points
         self._ball_radius_mm = ball_radius_mm
         self._sound_depth_mm = sound_depth_mm
-        self._torques: list[list[float]] = [[] for _ in range(n_points)]
-        self._expected: list[list[float]] = [[] for _ in range(n_points)]
+        self._reports: list[list[tuple[float, float]]] = [[] for _ in range(n_points)]
+        self._cut_mm = [0.0] * n_points
+        """What the newest pass of each point cut, as far as the spring tells."""
+        self._before_mm = [0.0] * n_points
+        """The same of the pass before."""
         self._sound: list[deque[float]] = [deque(maxlen=_HISTORY) for _ in range(n_points)]
 
-    def report(self, index: int, torque: float, *, bite_mm: float, depth_mm: float) -> None:
-        """One report taken while the ball was nearest to point ``index``; bite and depth where it was."""
-        self._torques[index].append(torque)
-        self._expected[index].append(bite_mm * chord_mm(depth_mm, self._ball_radius_mm))
+    def report(self, index: int, torque: float, offset: float) -> None:
+        """One report taken when the ball was ``offset`` points (-0.5 to 0.5) past point ``index``."""
+        self._reports[index].append((torque, offset))
 
-    def leave(self, index: int, *, bite_mm: float, depth_mm: float) -> Feeling | None:
-        """The tip has left the point: what this pass felt, None where it took no bite or was not measured."""
-        torques, expected = self._torques[index], self._expected[index]
-        self._torques[index], self._expected[index] = [], []
-        if bite_mm <= 0 or len(torques) < LEAST_SAMPLES or sum(expected) <= 0:
+    def leave(self, index: int, *, bite_mm: Sequence[float], depth_mm: Sequence[float]) -> Feeling | None:
+        """The tip has left the point: what this pass felt, None where it took no bite or was not measured.
+
+        Args:
+            index: the point left.
+            bite_mm: (n,) bites of the newest visits, that of the next point included.
+            depth_mm: (n,) depths of the same.
+        """
+        before, after = (index - 1) % self._n, (index + 1) % self._n
+        self._before_mm[index] = self._cut_mm[index]
+        self._cut_mm[index] = self._spring(bite_mm[index], self._before_mm[index])
+        sweep = {
+            where: cut * chord_mm(depth_mm[where], self._ball_radius_mm)
+            for where, cut in (
+                (before, self._cut_mm[before]),
+                (index, self._cut_mm[index]),
+                (after, self._spring(bite_mm[after], self._cut_mm[after])),
+            )
+        }
+        reports, self._reports[index] = self._reports[index], []
+        torques = [torque for torque, _ in reports]
+        expected = sum(
+            (1 - abs(offset)) * sweep[index] + abs(offset) * sweep[after if offset > 0 else before]
+            for _, offset in reports
+        )
+        if bite_mm[index] <= 0 or len(torques) < LEAST_SAMPLES or expected <= 0:
             return None
-        gain = (sum(torques) - len(torques) * self.idle.mean) / sum(expected)
+        gain = (sum(torques) - len(torques) * self.idle.mean) / expected
         reference = self._reference(index)
-        if depth_mm <= self._sound_depth_mm:
+        settled = depth_mm[index] >= SETTLED_MM
+        if settled and depth_mm[index] <= self._sound_depth_mm:
             self._sound[index].append(gain)
-        ratio = gain / reference if reference is not None and reference > 0 else 1.0
+        ratio = gain / reference if settled and reference is not None else None
         return Feeling(ratio, self.idle.above(torques, 3.0), len(torques))
 
+    @staticmethod
+    def _spring(bite_mm: float, before_mm: float) -> float:
+        return (bite_mm + COMPLIANCE * before_mm) / (1.0 + COMPLIANCE)
+
     def _reference(self, index: int) -> float | None:
-        """What bone took here so far, or round about while there is too little of it."""
+        """What bone took here so far; None while there is too little of it."""
         own = self._sound[index]
-        if len(own) >= 4:
-            return median(own)
-        everywhere = [gain for gains in self._sound for gain in gains]
-        return median(everywhere) if len(everywhere) >= 8 else None
+        reference = median(own) if len(own) >= _OWN else 0.0
+        return reference if reference > 0 else None

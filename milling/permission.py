@@ -5,7 +5,7 @@ that point's own contact, and it needs all of
 
 - a frame at most ``frame_age_s`` old (the eyes are alive),
 - a picture of this very point taken after its last pass, whose upper bound of completion is below the threshold,
-- a spindle load above idle at its last biting pass (its contact, before the first),
+- a spindle load above idle at its last biting pass (the contact itself stands for the first bites),
 - depth within the thickness prior and near that of finished neighbours.
 
 One cue that says "through" stops the point. Past the low end of the thickness prior the load must be whole: above idle
@@ -32,6 +32,7 @@ class Limits:
         late_bite_mm: the same, once less than ``late_margin_mm`` of bone may remain.
         thickness_low_mm, thickness_high_mm: the thickness prior.
         threshold: upper bound of completion that means "through".
+        entry_mm: how deep the contact alone is evidence of bone: its own uncertainty, run-out included.
         frame_age_s: the oldest newest frame.
         droop: a load below this share of what bone takes means "through".
         whole: past the low end of the prior the load must reach this share.
@@ -46,6 +47,7 @@ class Limits:
     thickness_low_mm: float = 0.25
     thickness_high_mm: float = 0.6
     threshold: float = 0.97
+    entry_mm: float = 0.03
     frame_age_s: float = 0.1
     droop: float = 0.75
     whole: float = 0.8
@@ -124,14 +126,27 @@ class Ledger:
             point.picture_through = True
             self._stop(point, "the picture says through")
 
-    def felt(self, index: int, *, ratio: float, above_idle: bool) -> None:
-        """The spindle load of a pass that took a bite here; ``ratio`` is against what bone takes."""
+    def felt(self, index: int, *, ratio: float | None, above_idle: bool) -> None:
+        """The spindle load of a pass that took a bite here.
+
+        Args:
+            index: the point, counted from 0.
+            ratio: load against what bone takes; None while too little bone was cut to know that.
+            above_idle: whether there was any load at all.
+        """
         point = self.points[index]
         point.load_ratio = ratio
-        point.load_above_idle = above_idle
-        if not above_idle or ratio < self.limits.droop:
+        point.load_above_idle = above_idle or point.cut_mm <= self.limits.entry_mm
+        if not point.load_above_idle or (ratio is not None and ratio < self.limits.droop):
             point.load_through = True
             self._stop(point, "the load says through")
+        elif (
+            point.allowance_mm is not None
+            and (ratio is not None and ratio >= self.limits.whole)
+            and (point.upper is not None and point.upper < self.limits.threshold)
+        ):
+            # Both cues refute what stopped the point.
+            point.allowance_mm = None
 
     def ask(self, index: int, *, bite_mm: float, now_s: float, frame_at_s: float) -> Grant:
         """How deep the tip may go at this visit. Asking again within one visit never adds to it."""
@@ -170,12 +185,14 @@ class Ledger:
         if point.state is PointState.DONE:
             return point.state
         through = point.upper is not None and point.upper >= limits.threshold
+        # A load that vanishes in thick bone under a picture of bone speaks against the contact, not for a hole.
+        plausible = point.cut_mm >= limits.thickness_low_mm / 2 or point.completion >= 0.5
         if through and point.load_through:
             self._finish(point, "picture and load agree: through")
-        elif point.load_through and point.looks > 0:
+        elif point.load_through and point.looks > 0 and plausible:
             self._finish(point, "the load said through twice")
         elif point.looks >= limits.looks:
-            if point.picture_through or point.load_through:
+            if point.picture_through or (point.load_through and plausible):
                 self._finish(point, "one cue says through after every look")
             else:
                 self._stop(point, "no cue says through after every look")
@@ -238,11 +255,12 @@ class Ledger:
             return self._stop(point, "the allowance of the last look is used up")
         if depth > limits.thickness_high_mm:
             return self._stop(point, "the high end of the thickness prior is reached")
-        if depth > limits.thickness_low_mm and point.load_ratio is not None and point.load_ratio < limits.whole:
+        whole = point.load_ratio is not None and point.load_ratio >= limits.whole
+        if depth > limits.thickness_low_mm and not whole and not (reopened and point.load_ratio is None):
             return self._stop(point, "past the low end of the thickness prior one cue is not enough")
         neighbour = self._finished_neighbour_mm(index)
         if not reopened and neighbour is not None and depth > neighbour + limits.neighbour_mm:
-            return self._stop(point, "deeper than its finished neighbours")
+            return no("waits for its neighbours")
         return Grant(depth, True, "bone")
 
     def _bite_limit(self, point: Point) -> float:

@@ -43,7 +43,7 @@ class Unguarded:
     def void(self, index: int) -> None:
         """Nothing to give back."""
 
-    def felt(self, index: int, *, ratio: float, above_idle: bool) -> None:
+    def felt(self, index: int, *, ratio: float | None, above_idle: bool) -> None:
         """Published systems do not feel."""
 
     def cut_mm(self, index: int) -> float:
