@@ -89,10 +89,10 @@ def fit_camera_pair(
 
     models = ["linear", *(name for name, free in EYE_MODELS.items() if 2 * (len(points) - 1) > free)]
     held_out = {name: _held_out(name, optics, points, left, right) for name in models}
-    candidates = {name: errors for name, errors in held_out.items() if np.isfinite(errors.px).all()}
+    candidates = {name: errors for name, errors in held_out.items() if np.isfinite([errors.px, errors.mm]).all()}
     if not candidates:
         raise CalibrationError(
-            "calibration: without one setpoint or another the rest lie in one plane; spread more over the box"
+            "calibration: no model predicts each setpoint from the others; visit more of them, spread over the box"
         )
     best = min(_rms(errors.px) for errors in candidates.values())
     model = next(name for name, errors in candidates.items() if _rms(errors.px) <= _SIMPLER_WITHIN * best)
@@ -102,7 +102,7 @@ def fit_camera_pair(
         pair = embed(PAPER_MODEL, fit, optics, left, right, points, detector_sigma_px)
     else:
         pair = _fit_pair(model, optics, points, left, right, detector_sigma_px)
-    leave_one_out = np.linalg.norm(pair.points_from_pixels(left_px, right_px)[0] - points_mm, axis=1)
+    leave_one_out = np.linalg.norm(_placed(pair, left_px, right_px) - points_mm, axis=1)
     leave_one_out[used] = held_out[model].mm
     candidates_mm = {name: _rms(errors.mm) for name, errors in candidates.items()}
     return _report(pair, model, candidates_mm, used, leave_one_out, points_mm, left_px, right_px, handedness)
@@ -274,7 +274,7 @@ def _held_out(model: str, optics: Optics, points: Array, left: Array, right: Arr
             pair = _bare_pair(
                 optics, *(_fit_eye(model, optics, points[kept], pixels[kept])[0] for pixels in (left, right))
             )
-        mm[i] = np.linalg.norm(pair.points_from_pixels(left[one], right[one])[0] - points[one])
+        mm[i] = np.linalg.norm(pair.triangulate(left[one], right[one]) - points[one])
         px[i] = np.linalg.norm(np.hstack([left[one], right[one]]) - np.hstack(pair.project(points[one])))
     return _HeldOut(mm, px)
 
@@ -377,8 +377,13 @@ def _report(
     handedness: str,
 ) -> PairFit:
     residuals_px = np.hstack([left, right]) - np.hstack(pair.project(points))
-    residuals_mm = pair.points_from_pixels(left, right)[0] - points
+    residuals_mm = _placed(pair, left, right) - points
     return PairFit(pair, model, candidates, used, residuals_px, residuals_mm, leave_one_out, handedness)
+
+
+def _placed(pair: CameraPair, left: Array, right: Array) -> Array:
+    """Triangulated points; an outlier that no point explains counts as a metre off."""
+    return np.nan_to_num(pair.triangulate(left, right), nan=1000.0)
 
 
 def _rms(values: Array) -> float:

@@ -23,6 +23,7 @@ _W = slice(8, 11)
 _K = 11
 _CHUNK = 20_000
 _STEPS = 3
+_FAR_MM = 1000.0
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ class CameraPair:
             sigma_px: 1-sigma of one coordinate, one number or (n,); the calibration's own where left out.
 
         Raises:
-            CalibrationError: a pixel is not finite.
+            CalibrationError: a pixel is not finite, or no point within a metre explains it.
         """
         left, right = _rows(left_px, 2, "left_px"), _rows(right_px, 2, "right_px")
         if left.shape != right.shape:
@@ -126,7 +127,11 @@ class CameraPair:
         points, covariance = np.empty((len(left), 3)), np.empty((len(left), 3, 3))
         for start in range(0, len(left), _CHUNK):
             part = slice(start, start + _CHUNK)
-            points[part] = self._triangulate(left[part], right[part])
+            points[part] = self.triangulate(left[part], right[part])
+            if not np.isfinite(points[part]).all():
+                raise CalibrationError(
+                    "points_from_pixels: no point within a metre explains some pixels; drop matches that disagree"
+                )
             covariance[part] = self.covariance_at(points[part], sigma[part])
         return points, covariance
 
@@ -139,7 +144,7 @@ class CameraPair:
         by_point, by_parameters = self._jacobians(points)[1:]
         pixels = by_parameters @ self.covariance @ by_parameters.transpose(0, 2, 1)
         pixels += sigma[:, None, None] ** 2 * np.eye(4)
-        gain = np.linalg.solve(by_point.transpose(0, 2, 1) @ by_point, by_point.transpose(0, 2, 1))
+        gain = _gain(by_point)
         return np.asarray(gain @ pixels @ gain.transpose(0, 2, 1))
 
     def sigma_at(self, points_mm: npt.ArrayLike, sigma_px: npt.ArrayLike | None = None) -> Array:
@@ -155,7 +160,7 @@ class CameraPair:
     def disagreement_px(self, left_px: npt.ArrayLike, right_px: npt.ArrayLike) -> Array:
         """(n,): how far the eyes disagree off the epipolar line, px; large where they show different things."""
         left, right = _rows(left_px, 2, "left_px"), _rows(right_px, 2, "right_px")
-        seen = np.hstack(self.project(self._triangulate(left, right)))
+        seen = np.hstack(self.project(self.triangulate(left, right)))
         return np.asarray(np.linalg.norm(np.hstack([left, right]) - seen, axis=1))
 
     def right_from_left(self, z_mm: float) -> Array:
@@ -178,17 +183,35 @@ class CameraPair:
         by_parameters[:, :2, :N_PARAMETERS], by_parameters[:, 2:, N_PARAMETERS:] = left_by, right_by
         return np.hstack([left, right]), np.concatenate([left_by_point, right_by_point], axis=1), by_parameters
 
-    def _triangulate(self, left: Array, right: Array) -> Array:
-        """Least squares in the pixels of both eyes, Gauss-Newton from the reference point."""
+    def triangulate(self, left: Array, right: Array) -> Array:
+        """Points (n, 3) by least squares in the pixels of both eyes, Gauss-Newton from the reference point.
+
+        Not finite where no point of space explains the pixels.
+        """
         seen = np.hstack([left, right])
         points = np.tile(np.array(self.optics.origin_mm), (len(seen), 1))
+        with np.errstate(all="ignore"):
+            return self._gauss_newton(seen, points)
+
+    def _gauss_newton(self, seen: Array, points: Array) -> Array:
         for _ in range(_STEPS):
             eyes = [_Rays(eye, self.optics, points) for eye in (self.left, self.right)]
             by_point = np.concatenate([eye.by_point() for eye in eyes], axis=1)
             error = (seen - np.hstack([eye.pixels for eye in eyes]))[:, :, None]
-            normal, gradient = by_point.transpose(0, 2, 1) @ by_point, by_point.transpose(0, 2, 1) @ error
-            points = points + np.linalg.solve(normal, gradient)[:, :, 0]
-        return points
+            points = points + (_gain(by_point) @ error)[:, :, 0]
+        return np.where(np.linalg.norm(points, axis=1, keepdims=True) < _FAR_MM, points, np.nan)
+
+
+def _gain(by_point: Array) -> Array:
+    """(n, 3, 4): the least-squares step of a point for a change of its four pixel coordinates.
+
+    By cofactors, which never raise: a hopeless pixel gives a value that is not finite and leaves its neighbours alone.
+    """
+    transposed = by_point.transpose(0, 2, 1)
+    x, y, z = np.moveaxis(transposed @ by_point, 1, 0)
+    cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=2)
+    determinant = (x * cofactors[:, :, 0]).sum(axis=1)
+    return np.asarray(cofactors @ transposed / determinant[:, None, None])
 
 
 def _rows(values: npt.ArrayLike, width: int, name: str) -> Array:

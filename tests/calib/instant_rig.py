@@ -72,6 +72,7 @@ class Eyes(StereoCamera):
     noise_px: float = 0.3
     seed: int = 0
     hidden_mm: tuple = ()
+    hidden_within_mm: float = 2.0
     wild_mm: tuple = ()
     shift_px: float = 0.0
     frames: int = 0
@@ -98,4 +99,5 @@ class Eyes(StereoCamera):
         pixel = self.microscope.project(np.add([at], self.offset_mm))[side][0] + self.rng.normal(0, self.noise_px, 2)
         if at in self.wild_mm and side == 0:
             pixel += np.array([60.0, 5.0])
-        return Tip(pixel[0] + self.shift_px, pixel[1], self.noise_px, at not in self.hidden_mm)
+        visible = all(np.linalg.norm(np.subtract(at, place)) > self.hidden_within_mm for place in self.hidden_mm)
+        return Tip(pixel[0] + self.shift_px, pixel[1], self.noise_px, visible)

@@ -9,7 +9,7 @@ from synthetic_microscope import Microscope, box_samples
 
 from calib.calibration_file import Provenance
 from calib.procedure import calibrate, verify
-from calib.setpoints import PAPER_SETPOINTS, VERIFY_SETPOINT, default_setpoints
+from calib.setpoints import FREE_AIR, PAPER_SETPOINTS, VERIFY_SETPOINT, default_setpoints
 from drivers.errors import CalibrationError, DetectionError, OutOfTravelError
 from drivers.motion.interface import Travel
 
@@ -140,7 +140,18 @@ def test_a_few_hidden_setpoints_are_left_out():
     hidden = default_setpoints()[3:6]
     calibration, _, _ = run(Eyes(stage, hidden_mm=hidden), stage, recorder=notes)
     assert len(calibration.setpoints) == 13
-    assert [kind for kind, _ in notes.events].count("calibration.hidden") == 3
+    assert [kind for kind, _ in notes.events].count("calibration.hidden") == 6
+
+
+def test_a_setpoint_where_the_drill_is_hidden_gets_a_second_try_beside_it():
+    stage, hidden = InstantStage(), default_setpoints()[:6]
+    calibration, _, _ = run(Eyes(stage, hidden_mm=hidden, hidden_within_mm=0.5), stage)
+    assert len(calibration.setpoints) == 16
+    places = np.array([setpoint.point_mm for setpoint in calibration.setpoints]) - OFFSET_MM
+    moved = np.linalg.norm(places - default_setpoints(), axis=1)
+    assert moved[:6] == pytest.approx(1.5, abs=0.002)
+    assert moved[6:].max() < 1e-9
+    assert all(FREE_AIR.contains(place) for place in stage.path[2:-1])
 
 
 def test_many_hidden_setpoints_are_refused_and_named():
