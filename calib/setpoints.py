@@ -16,6 +16,7 @@ from calib.camera_fit import EYE_MODELS, free_basis
 from calib.camera_pair import N_PARAMETERS, CameraPair, Optics, eye_jacobians
 from calib.stereo import PAPER_MODEL
 from calib.transform import Array
+from drivers.errors import OutOfTravelError
 from drivers.motion.interface import Travel, Vector
 
 PAPER_SETPOINTS: tuple[Vector, ...] = (
@@ -39,7 +40,8 @@ def default_setpoints(count: int = DEFAULT_COUNT, travel: Travel = FREE_AIR) -> 
     """Tip positions in free air and inside ``travel``, chosen for the error at box and skull, in a short order.
 
     Raises:
-        ValueError: fewer candidates inside the travel than ``count``.
+        OutOfTravelError: the travel holds no free air.
+        ValueError: more setpoints than there are candidates.
     """
     return _default_setpoints(count, travel)
 
@@ -49,8 +51,9 @@ def _default_setpoints(count: int, travel: Travel) -> tuple[Vector, ...]:
     low = np.maximum(FREE_AIR.low_mm, travel.low_mm)
     high = np.minimum(FREE_AIR.high_mm, travel.high_mm)
     if (high < low).any():
-        raise ValueError(
-            f"the travel {travel.low_mm} to {travel.high_mm} mm does not meet the free air above the specimen"
+        raise OutOfTravelError(
+            f"calibration: the travel {travel.low_mm} to {travel.high_mm} mm does not meet the free air above the specimen, "
+            f"{FREE_AIR.low_mm} to {FREE_AIR.high_mm} mm; check origin_mm in the rig file"
         )
     candidates = grid(low, high, (5, 5, 4))
     chosen = choose(candidates, count, np.vstack([box_points(), skull_points()]))
