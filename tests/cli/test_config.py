@@ -3,26 +3,10 @@
 from pathlib import Path
 
 import pytest
+from rig_file import GOOD
 
 from cli.config import GrblMotion, OtherBackend, load_rig
 from drivers.errors import ConfigError
-
-GOOD = """
-schema = 1
-name = "bench"
-[motion]
-backend = "grbl"
-port = "/dev/mill-motion"
-origin_mm = [-25.0, -10.0, -20.0]
-[motion.settings]
-"$100" = 1000.0
-[spindle]
-backend = "cia402"
-channel = "/dev/mill-spindle"
-[camera]
-left = "/dev/mill-left"
-right = "/dev/mill-right"
-"""
 
 
 def write(folder: Path, text: str) -> Path:

@@ -1,0 +1,108 @@
+"""What a person can get wrong: one clear line, exit code 2, no traceback, nothing opened or moved."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from rig_file import GOOD
+
+import vision.runtime
+from cli.main import main
+
+
+def mill(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
+    monkeypatch.setattr("sys.argv", ["mill", *words])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert isinstance(ended.value.code, int)
+    return ended.value.code
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    """A rig file whose devices do not exist: touching one would be another error than the one that is expected."""
+    path = tmp_path / "rig.toml"
+    path.write_text(GOOD)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "says"),
+    [
+        ("doctor", ["--rig", "nowhere.toml"], ["nowhere.toml", "no such rig file", "mill emulate"]),
+        ("run", ["--rig", "rig.toml", "--radius", "9"], ["radius_mm", "9", "2 to 4"]),
+        ("run", ["--rig", "rig.toml", "--feed", "50"], ["feed_mm_s", "50", "5"]),
+        ("run", ["--rig", "rig.toml"], ["calibrations", "no such calibration file", "mill calibrate"]),
+        ("run", ["--rig", "rig.toml", "--calibration", "rig.toml"], ["rig.toml", "not a calibration file"]),
+        ("calibrate", ["--rig", "rig.toml", "--verify"], ["no such calibration file", "mill calibrate"]),
+        ("emulate", ["--specimen", "nowhere.toml"], ["nowhere.toml"]),
+        ("emulate", ["--rig-out", "no/folder/rig.toml"], ["no/folder", "make it"]),
+        ("run", ["--emulate", "--specimen", "nowhere.toml"], ["nowhere.toml", "no such specimen file"]),
+        ("run", [], ["--emulate", "--rig FILE"]),
+        ("run", ["--emulate", "--rig", "rig.toml"], ["--emulate", "--rig FILE"]),
+        ("doctor", ["--rig", "rig.toml", "--specimen", "x.toml"], ["--specimen belongs to --emulate"]),
+        ("jog", ["--rig", "rig.toml", "--to", "0", "0", "0", "--by", "0", "0", "1"], ["--to and --by"]),
+        ("stop", [], ["--rig FILE"]),
+    ],
+)
+def test_wrong_words_are_named(
+    command: str,
+    words: list[str],
+    says: list[str],
+    rig: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert mill(command, *words, monkeypatch=monkeypatch) == 2
+    said = capsys.readouterr().err
+    assert "Traceback" not in said
+    for part in says:
+        assert part in said
+    assert sorted(path.name for path in rig.parent.iterdir()) == ["rig.toml"]
+
+
+def test_an_unknown_key_of_a_specimen_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mouse.toml").write_text("schema = 1\n[skull]\nthickness = 3\n")
+    assert mill("emulate", "--specimen", "mouse.toml", monkeypatch=monkeypatch) == 2
+    said = capsys.readouterr().err
+    for part in ("mouse.toml", "skull.thickness", "thickness_mm"):
+        assert part in said
+    assert said.count("\n") == 1
+
+
+def test_an_absent_device_names_path_reason_and_next_step(
+    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert mill("jog", "--rig", str(rig), "--home", monkeypatch=monkeypatch) == 3
+    said = capsys.readouterr().err
+    for part in ("/dev/mill-motion", "no such", "mill devices"):
+        assert part.lower() in said.lower()
+
+
+@pytest.mark.parametrize("name", ["tip.onnx", "landmarks.onnx", "completion.onnx"])
+def test_missing_weights_are_named_before_anything_is_opened(
+    name: str,
+    rig: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from vision.completion import CompletionReader
+    from vision.keypoints import LandmarkFinder, TipFinder
+
+    folder = tmp_path / "weights"
+    shutil.copytree(vision.runtime.WEIGHTS, folder, ignore=shutil.ignore_patterns("*.py", "__pycache__"))
+    (folder / name).unlink()
+    for finder in (TipFinder, LandmarkFinder, CompletionReader):
+        monkeypatch.setattr(finder, "weights", folder / finder.weights.name)
+    assert mill("run", "--rig", str(rig), monkeypatch=monkeypatch) == 2
+    said = capsys.readouterr().err
+    for part in (str(folder / name), "no such weights", "mill train"):
+        assert part in said
