@@ -52,7 +52,7 @@ def _default_setpoints(count: int, travel: Travel) -> tuple[Vector, ...]:
     high = np.minimum(FREE_AIR.high_mm, travel.high_mm)
     if (high < low).any():
         raise OutOfTravelError(
-            f"calibration: the travel {travel.low_mm} to {travel.high_mm} mm does not meet the free air above the specimen, "
+            f"the travel {travel.low_mm} to {travel.high_mm} mm does not meet the free air over the specimen, "
             f"{FREE_AIR.low_mm} to {FREE_AIR.high_mm} mm; check origin_mm in the rig file"
         )
     candidates = grid(low, high, (5, 5, 4))
