@@ -31,7 +31,7 @@ class Desk:
 class Host:
     """Writes bytes, lets time pass, and notes each line with the time of its last byte."""
 
-    def __init__(self, dialect: str, settings: Mapping[str, float] = {}, desk: Desk | None = None) -> None:  # noqa: B006
+    def __init__(self, dialect: str, settings: Mapping[str, float] = {}, desk: Desk | None = None) -> None:
         self.desk = desk or Desk()
         self.board = GrblBoard(self.desk, dialect=dialect, settings=settings)
         self.time_s = 0.0
@@ -57,8 +57,13 @@ class Host:
 
     def report(self) -> dict[str, str]:
         """One status report, field by field; the state under ``state``."""
-        (line,) = [line for line in self.ask(b"?", 0.04) if line.startswith("<")]
-        state, *fields = line[1:-1].split("|")
+        first = len(self.lines)
+        self.board.receive(b"?")
+        end_s = self.time_s + 0.3
+        while not (found := [line for _, line in self.lines[first:] if line.startswith("<")]):
+            assert self.time_s < end_s, f"no report within 0.3 s: {self.lines[-3:]}"
+            self.run(0.001)
+        state, *fields = found[0][1:-1].split("|")
         return {"state": state, **dict(field.split(":", 1) for field in fields)}
 
     def state(self) -> str:
