@@ -160,6 +160,8 @@ def score(
         bench.clock.sleep_s(0.3)
         pair = camera.capture()
         left, right = find_tip.find(pair.left), find_tip.find(pair.right)
+        if not (left.visible and right.visible):
+            continue
         truth = bench.truth() or {}
         seen = np.array([[left.x_px, left.y_px], [right.x_px, right.y_px]])
         errors_px += list(seen - np.array([truth["ball_px"]["left"], truth["ball_px"]["right"]]))
@@ -172,10 +174,12 @@ def score(
     def rms(values: Any) -> float:
         return float(np.sqrt(np.mean(values)))
 
+    central = max(1, round(13 / 20 * len(order)))
     return {
+        "setpoints_seen": len(order),
         "rmse_mm": rms(squared),
-        "rmse_center_mm": rms(squared[order[:13]]),
-        "rmse_periphery_mm": rms(squared[order[13:]]),
+        "rmse_center_mm": rms(squared[order[:central]]),
+        "rmse_periphery_mm": rms(squared[order[central:]]),
         "tip_rmse_px": rms((np.array(errors_px) ** 2).sum(axis=1)),
     }
 
