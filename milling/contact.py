@@ -16,13 +16,13 @@ from milling.load import Idle
 
 STEP_MM = 0.01
 FEED_MM_S = 0.4
-NEAR_MM = 0.06
+NEAR_MM = 0.045
 """Start above the predicted contact, once the surface's error is known."""
 SIGMAS = 4.0
 TRAVEL_FEED_MM_S = 15.0
 SETTLE_S = 0.5
 """After the run-up, until the drive's speed loop has come to rest."""
-BETWEEN_MM = 0.12
+BETWEEN_MM = 0.08
 """Lift before going to the next point."""
 APPROACH_FEED_MM_S = 2.0
 

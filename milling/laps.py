@@ -32,7 +32,8 @@ Floats = npt.NDArray[np.float64]
 QUEUED = 3
 """Segments written ahead of the tip."""
 POLL_S = 0.04
-GLANCE_S = 0.05
+GLANCE_S = 0.033
+SPEED_OVER_S = 0.12
 PAUSE_AFTER_S = 0.15
 """Frames older than this, and the drill leaves the bone."""
 GIVE_UP_AFTER_S = 2.0
@@ -105,6 +106,8 @@ class Laps:
         self._tip: Vector | None = None
         self._reports: deque[SpindleStatus] = deque(maxlen=512)
         self._bitten = 0
+        self._track: deque[tuple[float, float]] = deque(maxlen=64)
+        """Where the tip was lately, for its speed."""
 
     @property
     def laps(self) -> float:
@@ -236,6 +239,11 @@ class Laps:
         if self._meter is None:
             return
         span_s = time_s - self._at_s
+        self._track.append((time_s, at))
+        while len(self._track) > 2 and time_s - self._track[1][0] >= SPEED_OVER_S:
+            self._track.popleft()
+        since_s = time_s - self._track[0][0]
+        speed = (at - self._track[0][1]) * self._segment_s / since_s if since_s > 0 else 0.0
         while self._reports and self._reports[0].time_s <= time_s:
             report = self._reports.popleft()
             if span_s <= 0 or report.time_s <= self._at_s:
@@ -244,7 +252,7 @@ class Laps:
             before = floor(where)
             share = where - before
             nearest = before + 1 if share >= 0.5 else before
-            self._meter.report(nearest % self._n, report.torque_fraction, where - nearest)
+            self._meter.report(nearest % self._n, report.torque_fraction, offset=where - nearest, speed=speed)
 
     def _leave(self, index: int, time_s: float) -> None:
         self._permits.passed(index, depth_mm=float(self._depth[index]), now_s=time_s)
@@ -290,6 +298,8 @@ class Laps:
         self._at, self._at_s, self._tip = float(number), status.time_s, status.position_mm
         self._left = ceil(number / self._per_point)
         self._reports.clear()
+        self._track.clear()
+        self._track.append((self._at_s, self._at))
         self._hands.recorder.event("state", state="milling", lap=round(self.laps, 3))
 
     def _abandon(self) -> None:

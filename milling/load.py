@@ -20,6 +20,9 @@ COMPLIANCE = 0.6
 Too much here only delays a droop by a pass or two after a pause; too little reads a pause as a breakthrough."""
 _HISTORY = 8
 _OWN = 4
+_CRAWL = 0.5
+_STEADY = 0.15
+"""What the time stamps of two position reports make of a steady feed."""
 
 
 @dataclass(frozen=True)
@@ -69,16 +72,24 @@ class LoadMeter:
         self._n = n_points
         self._ball_radius_mm = ball_radius_mm
         self._sound_depth_mm = sound_depth_mm
-        self._reports: list[list[tuple[float, float]]] = [[] for _ in range(n_points)]
+        self._reports: list[list[tuple[float, float, float]]] = [[] for _ in range(n_points)]
         self._cut_mm = [0.0] * n_points
         """What the newest pass of each point cut, as far as the spring tells."""
         self._before_mm = [0.0] * n_points
         """The same of the pass before."""
         self._sound: list[deque[float]] = [deque(maxlen=_HISTORY) for _ in range(n_points)]
 
-    def report(self, index: int, torque: float, offset: float) -> None:
-        """One report taken when the ball was ``offset`` points (-0.5 to 0.5) past point ``index``."""
-        self._reports[index].append((torque, offset))
+    def report(self, index: int, torque: float, *, offset: float, speed: float) -> None:
+        """One report taken near a point.
+
+        Args:
+            index: the point.
+            torque: as the drive reports it.
+            offset: how far past the point the ball was, in points (-0.5 to 0.5).
+            speed: of the ball, as a share of the feed. A ball that crawls cuts too little to tell anything.
+        """
+        if speed >= _CRAWL:
+            self._reports[index].append((torque, offset, 1.0 if abs(speed - 1.0) < _STEADY else speed))
 
     def leave(self, index: int, *, bite_mm: Sequence[float], depth_mm: Sequence[float]) -> Feeling | None:
         """The tip has left the point: what this pass felt, None where it took no bite or was not measured.
@@ -100,10 +111,10 @@ class LoadMeter:
             )
         }
         reports, self._reports[index] = self._reports[index], []
-        torques = [torque for torque, _ in reports]
+        torques = [torque for torque, _, _ in reports]
         expected = sum(
-            (1 - abs(offset)) * sweep[index] + abs(offset) * sweep[after if offset > 0 else before]
-            for _, offset in reports
+            speed * ((1 - abs(offset)) * sweep[index] + abs(offset) * sweep[after if offset > 0 else before])
+            for _, offset, speed in reports
         )
         if bite_mm[index] <= 0 or len(torques) < LEAST_SAMPLES or expected <= 0:
             return None

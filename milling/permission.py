@@ -37,7 +37,9 @@ class Limits:
         droop: a load below this share of what bone takes means "through".
         whole: past the low end of the prior the load must reach this share.
         neighbour_mm: how much deeper than a finished neighbour a point may go.
-        reopen_mm: what one look with the drill lifted may give back to a stopped point.
+        reopen_mm: what one look with the drill lifted may give back to a stopped point, beyond what its best
+            estimate of completion leaves.
+        most_reopen_mm: the bound on both together.
         looks: how often a point may be re-opened.
     """
 
@@ -49,10 +51,11 @@ class Limits:
     threshold: float = 0.97
     entry_mm: float = 0.03
     frame_age_s: float = 0.1
-    droop: float = 0.75
-    whole: float = 0.8
+    droop: float = 0.8
+    whole: float = 0.85
     neighbour_mm: float = 0.08
     reopen_mm: float = 0.03
+    most_reopen_mm: float = 0.06
     looks: int = 2
 
 
@@ -198,8 +201,7 @@ class Ledger:
                 self._stop(point, "no cue says through after every look")
         elif point.state is PointState.STOPPED:
             point.looks += 1
-            ceiling = limits.thickness_high_mm
-            point.allowance_mm = min(point.cut_mm + limits.reopen_mm, ceiling)
+            point.allowance_mm = min(point.cut_mm + self._return_mm(point), limits.thickness_high_mm)
             point.picture_through = point.load_through = False
             point.frames_through = 0
             # The load that stopped the point is what the next bite has to prove wrong.
@@ -270,6 +272,11 @@ class Ledger:
             # The picture's share of what bone may remain, taken at the thinnest bone of the prior.
             late = late or (1.0 - point.upper) * limits.thickness_low_mm < limits.late_margin_mm
         return limits.late_bite_mm if late or point.allowance_mm is not None else limits.bite_mm
+
+    def _return_mm(self, point: Point) -> float:
+        """What a look gives back: the picture's best estimate of the bone left, and a little."""
+        left_mm = point.cut_mm * (1.0 - point.completion) / max(point.completion, 0.1)
+        return min(left_mm + self.limits.reopen_mm, self.limits.most_reopen_mm)
 
     def _finished_neighbour_mm(self, index: int) -> float | None:
         n = len(self.points)

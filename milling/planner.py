@@ -17,7 +17,7 @@ from milling.job import Job
 
 _PAPER_V_MAX_MM_S = 0.012
 _PAPER_DONE = 0.95
-_LEAST_BITE_MM = 0.01
+_LEAST_BITE_MM = 0.012
 _FULL_BITE_UNTIL = 0.85
 
 
