@@ -7,7 +7,7 @@ exactly where the real program spins or delays.
 from collections.abc import Callable, Generator
 from contextlib import suppress
 
-from firmware_sim import grbl_commands, grbl_moves
+from firmware_sim import grbl_commands, grbl_moves, grbl_realtime
 from firmware_sim.grbl_dialects import Dialect
 from firmware_sim.grbl_gcode import Frame, GcodeError, Modal, Point
 from firmware_sim.grbl_overrides import Overrides
@@ -19,7 +19,6 @@ from firmware_sim.grbl_stepper import Stepper
 from firmware_sim.grbl_uart import Uart
 
 _IN_MOTION = {State.RUN, State.JOG, State.HOME}
-_SPINDLE_RESTORE_S = 4.0
 
 
 class Program:
@@ -300,153 +299,8 @@ class Program:
 
     def realtime(self) -> Waits:
         """Look at the flags, and stay here while suspended."""
-        yield from self._look_at_flags()
+        yield from grbl_realtime.look_at_flags(self)
         while self.suspend.active:
-            yield from self._suspended()
+            yield from grbl_realtime.while_suspended(self)
             yield None
-            yield from self._look_at_flags()
-
-    def _look_at_flags(self) -> Waits:
-        if self.alarm:
-            yield from self._report_alarm()
-        flags = self.flags
-        if flags:
-            if Flag.RESET in flags:
-                raise Aborted
-            if Flag.STATUS in flags:
-                flags.discard(Flag.STATUS)
-                if self.dialect.name == "grblhal":
-                    self.overrides.apply(self)
-                self.report.status()
-            self._stops()
-            if Flag.CYCLE_START in flags:
-                flags.discard(Flag.CYCLE_START)
-                self._cycle_start()
-            if Flag.CYCLE_STOP in flags:
-                flags.discard(Flag.CYCLE_STOP)
-                self._cycle_stop()
-        self.overrides.apply(self)
-        if self.state in {State.RUN, State.HOLD, State.DOOR, State.JOG, State.SLEEP} and self.stepper.running:
-            self.stepper.prepare()
-
-    def _report_alarm(self) -> Waits:
-        alarm = self.alarm
-        assert alarm is not None
-        self.state = State.ALARM
-        self.say(f"ALARM:{alarm.value}")
-        yield from self.delay(self.dialect.alarm_pause_s)
-        if alarm in {Alarm.HARD_LIMIT, Alarm.SOFT_LIMIT}:
-            self.say("[MSG:Reset to continue]")
-            self.flags.discard(Flag.RESET)
-            while Flag.RESET not in self.flags:
-                if self.dialect.name == "grblhal" and Flag.STATUS in self.flags:
-                    self.flags.discard(Flag.STATUS)
-                    self.report.status()
-                yield None
-        self.alarm = None
-
-    def _stops(self) -> None:
-        flags, suspend = self.flags, self.suspend
-        asked = flags & {Flag.HOLD, Flag.DOOR, Flag.MOTION_CANCEL, Flag.SLEEP}
-        if not asked:
-            return
-        flags -= asked
-        if self.state in {State.ALARM, State.CHECK} and asked != {Flag.SLEEP}:
-            return
-        if asked != {Flag.MOTION_CANCEL}:
-            flags.discard(Flag.CYCLE_START)
-        if self.state in {State.RUN, State.JOG} and not (suspend.motion_cancel or suspend.jog_cancel):
-            if self.dialect.drops_segments and Flag.MOTION_CANCEL in asked:
-                self.stepper.drop_prepared()
-            self.stepper.hold()
-            suspend.active = True
-            if self.state is State.JOG and Flag.SLEEP not in asked:
-                suspend.jog_cancel = True
-        elif self.state in {State.IDLE, State.ALARM}:
-            suspend.active = True
-            suspend.complete = True
-        if Flag.MOTION_CANCEL in asked and self.state is not State.JOG:
-            suspend.motion_cancel = True
-        if Flag.HOLD in asked and self.state not in {State.DOOR, State.JOG, State.SLEEP}:
-            self.state = State.HOLD
-        if Flag.DOOR in asked:
-            self.say("[MSG:Check Door]")
-            suspend.restoring = False
-            if not suspend.jog_cancel and self.state is not State.SLEEP:
-                self.state = State.DOOR
-        if Flag.SLEEP in asked:
-            self.state = State.SLEEP
-
-    def _cycle_start(self) -> None:
-        suspend = self.suspend
-        if self.state is State.DOOR and suspend.complete:
-            suspend.restoring = True
-        elif self.state is State.IDLE or (self.state is State.HOLD and suspend.complete):
-            resumed = self.state is State.HOLD
-            self.resume()
-            if resumed and self.dialect.name == "grblhal":
-                self.say("[MSG:]")
-
-    def resume(self) -> None:
-        """Let motion begin, or go on."""
-        if self.spindle_stopped:
-            self.spindle_stopped = False
-            self.set_spindle(self.spindle, self.modal.speed)
-            self.report.overrides_changed(accessories=True)
-        self.stepper.release()
-        self.suspend = Suspend()
-        if self.planner.blocks:
-            self.state = State.RUN
-            self.planner.recalculate(self.stepper.speed)
-            self.stepper.prepare()
-            self.stepper.wake_up(self.now_s)
-        else:
-            self.state = State.IDLE
-
-    def _cycle_stop(self) -> None:
-        suspend = self.suspend
-        held = self.state in {State.HOLD, State.DOOR, State.SLEEP}
-        if held and not suspend.jog_cancel and not self.soft_limit_hit:
-            suspend.active = True
-            suspend.complete = True
-            self.stepper.release()
-            self.planner.recalculate(0.0)
-            if self.dialect.name == "grblhal" and self.planner.blocks:
-                self.report.held_feed = self.planner.blocks[0].nominal_speed
-            return
-        if suspend.jog_cancel:
-            self.jog_cancels += 1
-            self.planner.reset()
-            self.stepper.reset()
-            self.idle_motors()
-            self.planner_mm_from_motors()
-        self.stepper.release()
-        self.suspend = Suspend()
-        self.state = State.DOOR if self.state is State.DOOR else State.IDLE
-        if self.state is State.DOOR:
-            self.suspend.active = self.suspend.complete = True
-
-    def _suspended(self) -> Waits:
-        """The spindle stops while the door is open, and is back at speed before motion goes on."""
-        if self.state is State.SLEEP and self.suspend.complete and not self.suspend.told:
-            self.suspend.told = True
-            self.say("[MSG:Sleeping]")
-            self.set_spindle("M5", 0.0)
-        if self.state is State.DOOR and self.suspend.complete:
-            if not self.suspend.restoring:
-                if not self.suspend.told:
-                    self.suspend.told = True
-                    self.spindle_stopped = self.spindle != "M5"
-                    self.set_spindle(self.spindle, self.modal.speed)
-                    self.report.overrides_changed(accessories=True)
-                return
-            if self.spindle_stopped:
-                self.spindle_stopped = False
-                self.set_spindle(self.spindle, self.modal.speed)
-                ready_s = self.now_s + _SPINDLE_RESTORE_S
-                while self.now_s < ready_s and Flag.RESET not in self.flags and Flag.DOOR not in self.flags:
-                    yield self.now_s + 0.05
-                    if Flag.STATUS in self.flags:
-                        self.flags.discard(Flag.STATUS)
-                        self.report.status()
-            self.resume()
+            yield from grbl_realtime.look_at_flags(self)

@@ -89,7 +89,7 @@ class Reporter:
 
     def _accessory_text(self) -> str:
         program = self._program
-        turning = program.spindle != "M5" and not program.spindle_stopped
+        turning = program.spindle_rpm > 0
         spindle = ("S" if program.spindle == "M3" else "C") if turning else ""
         return spindle + ("F" if program.flood else "")
 
