@@ -55,7 +55,7 @@ class GrblBoard:
         self._mechanics = mechanics
         self._dialect = DIALECTS[dialect]
         memory = Settings(dialect, settings)
-        self._motor_steps_per_mm = memory.per_axis(100)
+        self._motor_steps_per_mm = memory.steps_per_mm
         self._uart = Uart(self._dialect.rx_size)
         self._program = Program(self._dialect, memory, self._uart, mechanics.limit_switches, mechanics.probe_closed)
         self._run = self._program.run()

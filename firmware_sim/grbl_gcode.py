@@ -95,6 +95,7 @@ _HAL_GROUPS = {"G59.1": 12, "G59.2": 12, "G59.3": 12, "G98": 10, "G99": 10, "G50
 _AXIS_COMMANDS = {"G10", "G28", "G30", "G92", "G0", "G1", "G2", "G3", "G38.2", "G38.3", "G38.4", "G38.5", "G43.1"}
 _FRACTIONS = {28, 30, 38, 43, 61, 90, 91, 92}
 """G-codes that come with a fraction in some of their forms."""
+_HIGHEST_CODE = 1000
 _COOLANT = 108
 _INCH_MM = 25.4
 
@@ -120,9 +121,14 @@ def read_words(text: str) -> list[tuple[str, float]]:
     return words
 
 
+def _whole(value: float) -> int:
+    """Without its fraction, within 32 bits."""
+    return int(min(max(value, -(2.0**31)), 2.0**31 - 1))
+
+
 def _command(letter: str, value: float, known: Mapping[str, int]) -> str:
-    whole = int(value)
-    hundredths = round(100 * (value - whole))
+    whole = _whole(value)
+    hundredths = round(100 * (value - whole)) if value < _HIGHEST_CODE else 0
     command = f"{letter}{whole}.{hundredths:02d}".removesuffix("0") if hundredths else f"{letter}{whole}"
     if command in known:
         return command
@@ -189,7 +195,7 @@ def read_line(text: str, modal: Modal, frame: Frame, *, jog: bool = False) -> Li
     _feed(line, values, commands, modal, jog=jog)
     if not jog:
         line.speed_given = "S" in values
-        line.modal = replace(line.modal, speed=values.pop("S", modal.speed), tool=int(values.pop("T", modal.tool)))
+        line.modal = replace(line.modal, speed=values.pop("S", modal.speed), tool=_whole(values.pop("T", modal.tool)))
     zeroth = commands.get(0)
     if zeroth == "G4":
         if "P" not in values:
@@ -292,7 +298,7 @@ def _position(
             raise GcodeError(NO_AXIS)
         if "P" not in values or "L" not in values:
             raise GcodeError(VALUE_MISSING)
-        number, kind = int(values.pop("P")), int(values.pop("L"))
+        number, kind = _whole(values.pop("P")), _whole(values.pop("L"))
         if number > frame.last_coordinates + 1:
             raise GcodeError(NO_SUCH_COORDINATES)
         if kind not in {2, 20}:

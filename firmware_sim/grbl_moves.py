@@ -89,7 +89,7 @@ def move(program: "Program", target: Point, line: Line, *, is_jog: bool = False)
         program.start_cycle_if_queued()
         yield None
     program.planner.add(
-        steps_of(target, program.settings.per_axis(100)),
+        steps_of(target, program.settings.steps_per_mm),
         program.settings.limits(),
         speed=line.modal.feed / 60,
         is_rapid=line.action in {"G0", "G28", "G30"},
@@ -298,7 +298,7 @@ def _home_axes(program: "Program", axes: tuple[int, ...]) -> HomingPart:
         if alarm is not None:
             return alarm
         yield from program.delay(debounce_s)
-    spm = settings.per_axis(100)
+    spm = settings.steps_per_mm
     for axis in axes:
         place = pull_off - settings[130 + axis] if settings.mask(23) >> axis & 1 else -pull_off
         program.origin_steps[axis] = round(place * spm[axis]) - round(program.stepper.position[axis])
@@ -313,7 +313,7 @@ def _home_move(
     program.planner.reset()
     stepper.reset()
     program.planner.position = program.machine_steps
-    spm = settings.per_axis(100)
+    spm = settings.steps_per_mm
     target = list(program.machine_steps)
     for axis, distance in zip(axes, distances, strict=True):
         to_max = not settings.mask(23) >> axis & 1

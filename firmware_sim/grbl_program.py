@@ -93,7 +93,7 @@ class Program:
         return x, y, z
 
     def _mm(self, steps: tuple[int, int, int]) -> Point:
-        x, y, z = (n / s for n, s in zip(steps, self.settings.per_axis(100), strict=True))
+        x, y, z = (n / s for n, s in zip(steps, self.settings.steps_per_mm, strict=True))
         return x, y, z
 
     @property

@@ -29,8 +29,14 @@ _HAL_EXTRA: dict[int, float] = {
     46: 0,
 }
 
+_NEXT_TO_NOTHING = 1e-3
 _FLOATS = {11, 12, 24, 25, 27, 28, 29, *range(100, 133)}
 """Printed with three decimals."""
+
+
+def _positive(values: tuple[float, float, float]) -> tuple[float, float, float]:
+    x, y, z = (max(value, _NEXT_TO_NOTHING) for value in values)
+    return x, y, z
 
 
 class SettingError(Exception):
@@ -75,10 +81,15 @@ class Settings:
         """Three settings in a row."""
         return self._values[number], self._values[number + 1], self._values[number + 2]
 
+    @property
+    def steps_per_mm(self) -> tuple[float, float, float]:
+        """``$100`` to ``$102``; the firmware takes a zero there, and so does the board, as next to nothing."""
+        return _positive(self.per_axis(100))
+
     def limits(self) -> Limits:
         """What the planner needs: speeds in mm/s."""
-        x, y, z = self.per_axis(110)
-        return Limits(self.per_axis(100), (x / 60, y / 60, z / 60), self.per_axis(120), self[11])
+        x, y, z = _positive(self.per_axis(110))
+        return Limits(self.steps_per_mm, (x / 60, y / 60, z / 60), _positive(self.per_axis(120)), self[11])
 
     def store(self, number: int, value: float) -> None:
         """Take a value from the host.

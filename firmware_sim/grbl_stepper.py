@@ -177,7 +177,6 @@ class Stepper:
         while self.running:
             if not self._segments:
                 self.running = False
-                self.position = [float(round(p)) for p in self.position]
                 return True
             segment = self._segments[0]
             share = min(1.0, (now_s - self._segment_start_s) / segment.duration_s)

@@ -247,3 +247,67 @@ def test_an_idle_board_is_cheap(mocker):
     steps = mocker.spy(host.board, "_step")
     host.run_until(host.time_s + 180.0, 1.0)
     assert steps.call_count == 0
+
+
+@pytest.mark.parametrize(
+    ("dialect", "stop", "state", "measured_s"),
+    [
+        ("gnea", b"!", "Hold:0", 0.097),
+        ("grblhal", b"!", "Hold:0", 0.111),
+        ("gnea", b"\x85", "Idle", 0.128),
+        ("grblhal", b"\x85", "Idle", 0.050),
+    ],
+)
+def test_stopping_takes_as_long_as_on_the_real_firmware(dialect, stop, state, measured_s):
+    """Measured at F600 and 500 mm/s2."""
+    host = homed(dialect)
+    host.ask(b"$J=G91X-8F600\n" if state == "Idle" else b"G91G1X-8F600\n", 0.3)
+    begin_s = host.time_s
+    host.ask(stop, 0.0)
+    host.wait_for_state(state, 1.0)
+    assert host.time_s - begin_s == pytest.approx(measured_s, abs=0.025)
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+@pytest.mark.parametrize("seed", range(3))
+def test_no_step_is_lost_whatever_interrupts_a_stream(dialect, seed):
+    random = np.random.default_rng(seed)
+    host = homed(dialect)
+    start_s, start = host.time_s, np.array(host.desk.axes_mm)
+    moves = np.round(random.uniform(-0.4, 0.2, (60, 3)), 3)
+    host.ask(b"G91\n")
+    for first in range(0, 60, 3):
+        host.run(random.uniform(0.1, 0.5))
+        for x, y, z in moves[first : first + 3]:
+            host.board.receive(f"G1X{x:.3f}Y{y:.3f}Z{z:.3f}F{random.integers(300, 1200)}\n".encode())
+        if random.random() < 0.3:
+            host.ask(bytes([random.choice([0x90, 0x91, 0x92, 0x95, 0x97])]), 0.01)
+        if random.random() < 0.1:
+            host.ask(b"!", random.uniform(0.0, 0.2))
+            host.wait_for_state("Hold:0", 1.0)
+            host.ask(b"~", 0.01)
+    host.wait_for_state("Idle")
+    np.testing.assert_allclose(np.array(host.desk.axes_mm) - start, moves.sum(axis=0), atol=1e-6)
+    _, speed = speeds(host, start_s)
+    assert np.abs(np.diff(speed)).max() / 0.01 < 2.5 * ACCELERATION, "the longest axis alone may use its acceleration"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_bytes_break_the_board(seed):
+    random = np.random.default_rng(seed)
+    host = Host(DIALECTS[seed % 2], FAST)
+    pieces = [
+        *("G0", "G1", "G2", "G4", "G10", "G28", "G30", "G38.2", "G43.1", "G53", "G59.1", "G80", "G91", "G92", "G93"),
+        *("M0", "M2", "M3", "M5", "P1", "L20", "S100", "F600", "X1", "Y-2", "Z-3", "X-.1", "(", "%", ";"),
+        *("$X", "$H", "$$", "$#", "$J=", "$100=0", "$110=0", "$120=0", "$27=0", "$21=1", "$20=1", "$24=0", "$RST=*"),
+        *("$C", "$SLP"),
+        *("G" + "9" * 60, "X" + "9" * 60, "P" + "9" * 60, "\n", "\n", "\n"),
+    ]  # fmt: skip
+    for _ in range(60):
+        text = "".join(random.choice(pieces, random.integers(1, 5)))
+        host.board.receive(text.encode() + b"\n" * int(random.integers(0, 2)))
+        host.board.receive(bytes([random.choice([0x18, 0x84, 0x85, 0x21, 0x7E, 0x3F, 0x91, 0x97, 0x9E, 0xFF])]))
+        host.run_until(host.time_s + random.choice([0.001, 0.02, 0.3]), 0.01)
+    host.ask(b"\x18", 2.0)
+    host.ask(b"\x18", 2.0)
+    assert host.state()
