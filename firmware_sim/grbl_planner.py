@@ -29,7 +29,6 @@ class Block:
     is_rapid: bool
     keeps_feed: bool
     junction_speed: float
-    line_number: int = 0
     nominal_speed: float = 0.0
     max_entry_speed: float = 0.0
     entry_speed: float = 0.0

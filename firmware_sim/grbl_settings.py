@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from drivers.errors import ConfigError
 from firmware_sim.grbl_planner import Limits
 
-AXES = "XYZ"
-
 _GNEA_DEFAULTS: dict[int, float] = {
     0: 10, 1: 25, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.01, 12: 0.002, 13: 0, 20: 0, 21: 0, 22: 0, 23: 0, 24: 25,
     25: 500, 26: 250, 27: 1, 30: 1000, 31: 0, 32: 0, 100: 250, 101: 250, 102: 250, 110: 500, 111: 500, 112: 500,
