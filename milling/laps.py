@@ -50,6 +50,10 @@ class Permits(Witness, Protocol):
     def open_points(self) -> list[int]:
         """Points that may still get a bite."""
 
+    @property
+    def through_share(self) -> float:
+        """Share of points that are through."""
+
     def ask(self, index: int, *, bite_mm: float, now_s: float, frame_at_s: float) -> Grant:
         """How deep this visit may go."""
 
@@ -258,7 +262,9 @@ class Laps:
         self._permits.passed(index, depth_mm=float(self._depth[index]), now_s=time_s)
         if self._meter is None:
             return
-        feeling = self._meter.leave(index, bite_mm=self._bite.tolist(), depth_mm=self._depth.tolist())
+        feeling = self._meter.leave(
+            index, bite_mm=self._bite.tolist(), depth_mm=self._depth.tolist(), freed=self._permits.through_share
+        )
         if feeling is not None:
             self._permits.felt(index, ratio=feeling.ratio, above_idle=feeling.above_idle)
 

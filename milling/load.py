@@ -18,6 +18,8 @@ SETTLED_MM = 0.06
 COMPLIANCE = 0.6
 """How far bone gives way under a pass, as a share of what the pass cuts: 20 N/mm at published feed and removal rate.
 Too much here only delays a droop by a pass or two after a pause; too little reads a pause as a breakthrough."""
+FLAP_SOFTENING = 1.0
+"""How much more it gives way once the flap is free all round."""
 _HISTORY = 8
 _OWN = 4
 _CRAWL = 0.5
@@ -77,6 +79,8 @@ class LoadMeter:
         """What the newest pass of each point cut, as far as the spring tells."""
         self._before_mm = [0.0] * n_points
         """The same of the pass before."""
+        self._bitten = [False] * n_points
+        """Whether the pass before took a bite too: the first after a pause tells more of the spring than of bone."""
         self._sound: list[deque[float]] = [deque(maxlen=_HISTORY) for _ in range(n_points)]
 
     def report(self, index: int, torque: float, *, offset: float, speed: float) -> None:
@@ -91,23 +95,27 @@ class LoadMeter:
         if speed >= _CRAWL:
             self._reports[index].append((torque, offset, 1.0 if abs(speed - 1.0) < _STEADY else speed))
 
-    def leave(self, index: int, *, bite_mm: Sequence[float], depth_mm: Sequence[float]) -> Feeling | None:
+    def leave(
+        self, index: int, *, bite_mm: Sequence[float], depth_mm: Sequence[float], freed: float = 0.0
+    ) -> Feeling | None:
         """The tip has left the point: what this pass felt, None where it took no bite or was not measured.
 
         Args:
             index: the point left.
             bite_mm: (n,) bites of the newest visits, that of the next point included.
             depth_mm: (n,) depths of the same.
+            freed: share of the ring that is through.
         """
+        compliance = COMPLIANCE * (1.0 + FLAP_SOFTENING * freed)
         before, after = (index - 1) % self._n, (index + 1) % self._n
         self._before_mm[index] = self._cut_mm[index]
-        self._cut_mm[index] = self._spring(bite_mm[index], self._before_mm[index])
+        self._cut_mm[index] = _spring(bite_mm[index], self._before_mm[index], compliance)
         sweep = {
             where: cut * chord_mm(depth_mm[where], self._ball_radius_mm)
             for where, cut in (
                 (before, self._cut_mm[before]),
                 (index, self._cut_mm[index]),
-                (after, self._spring(bite_mm[after], self._cut_mm[after])),
+                (after, _spring(bite_mm[after], self._cut_mm[after], compliance)),
             )
         }
         reports, self._reports[index] = self._reports[index], []
@@ -116,22 +124,28 @@ class LoadMeter:
             speed * ((1 - abs(offset)) * sweep[index] + abs(offset) * sweep[after if offset > 0 else before])
             for _, offset, speed in reports
         )
-        if bite_mm[index] <= 0 or len(torques) < LEAST_SAMPLES or expected <= 0:
+        if bite_mm[index] <= 0:
+            self._bitten[index] = False
+            return None
+        if len(torques) < LEAST_SAMPLES or expected <= 0:
             return None
         gain = (sum(torques) - len(torques) * self.idle.mean) / expected
         reference = self._reference(index)
         settled = depth_mm[index] >= SETTLED_MM
         if settled and depth_mm[index] <= self._sound_depth_mm:
             self._sound[index].append(gain)
-        ratio = gain / reference if settled and reference is not None else None
+        steady = self._bitten[index]
+        self._bitten[index] = True
+        ratio = gain / reference if settled and steady and reference is not None else None
         return Feeling(ratio, self.idle.above(torques, 3.0), len(torques))
-
-    @staticmethod
-    def _spring(bite_mm: float, before_mm: float) -> float:
-        return (bite_mm + COMPLIANCE * before_mm) / (1.0 + COMPLIANCE)
 
     def _reference(self, index: int) -> float | None:
         """What bone took here so far; None while there is too little of it."""
         own = self._sound[index]
         reference = median(own) if len(own) >= _OWN else 0.0
         return reference if reference > 0 else None
+
+
+def _spring(bite_mm: float, before_mm: float, compliance: float) -> float:
+    """What a pass cuts: its bite and what the bone gave way by before, less what it gives way by now."""
+    return (bite_mm + compliance * before_mm) / (1.0 + compliance)

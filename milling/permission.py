@@ -127,7 +127,9 @@ class Ledger:
         point.frames_through = point.frames_through + 1 if upper >= self.limits.threshold else 0
         if point.frames_through >= 2 and not point.picture_through:
             point.picture_through = True
-            self._stop(point, "the picture says through")
+            if point.allowance_mm is None:
+                # A re-opened point has its bound from a better look than this one.
+                self._stop(point, "the picture says through")
 
     def felt(self, index: int, *, ratio: float | None, above_idle: bool) -> None:
         """The spindle load of a pass that took a bite here.
@@ -222,6 +224,12 @@ class Ledger:
         return self.points[index].completion
 
     @property
+    def through_share(self) -> float:
+        """Share of points that any cue says are through."""
+        through = [point.picture_through or point.load_through for point in self.points]
+        return sum(through) / len(through)
+
+    @property
     def open_points(self) -> list[int]:
         """Indices that may still get a bite."""
         return [index for index, point in enumerate(self.points) if point.state is PointState.OPEN]
@@ -249,6 +257,8 @@ class Ledger:
             return no("not seen since its last pass")
         reopened = point.allowance_mm is not None
         if point.upper >= limits.threshold and not reopened:
+            if point.picture_through:
+                return self._stop(point, "the picture says through")
             return no("the picture may say through")
         if not point.load_above_idle:
             return no("no load at the last pass")

@@ -24,6 +24,11 @@ class Unguarded:
         n = len(self._completion)
         return [] if all(value >= _DONE for value in self._completion) else list(range(n))
 
+    @property
+    def through_share(self) -> float:
+        """Share of points that the picture calls done."""
+        return sum(value >= _DONE for value in self._completion) / len(self._completion)
+
     def seen(self, index: int, *, completion: float, upper: float, exposed_at_s: float) -> None:
         """Believe the best estimate; completion never falls."""
         del upper, exposed_at_s
