@@ -141,7 +141,7 @@ class Watch:
             SafetyStop: the readings make no sense.
         """
         for _ in range(frames):
-            self._read(self._camera.capture(), None)
+            self._read(self._camera.capture(), None, "look")
 
     def wait(self, timeout_s: float) -> None:
         """Wait for one fresh frame.
@@ -153,7 +153,7 @@ class Watch:
         if self._clock.now_s() - frame.exposed_at_s > timeout_s:
             raise DeviceTimeoutError(f"camera: no fresh frame within {timeout_s:g} s")
 
-    def _read(self, frame: StereoFrame, tip_mm: Sequence[float] | None) -> None:
+    def _read(self, frame: StereoFrame, tip_mm: Sequence[float] | None, name: str = "left") -> None:
         self._index = frame.index
         try:
             reading = self._reader.read(frame.left, self._ring_px, self._radius_px, reference=self._reference)
@@ -176,7 +176,7 @@ class Watch:
                 exposed_at_s=frame.exposed_at_s,
             )
         self.completion = np.where(visible, completion, self.completion)
-        self._recorder.frame("left", frame.left)
+        self._recorder.frame(name, frame.left)
 
     def _checked(self, reading: Reading) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
         n = len(self._view.ring_mm)

@@ -34,6 +34,7 @@ QUEUED = 3
 POLL_S = 0.04
 GLANCE_S = 0.033
 SPEED_OVER_S = 0.12
+LOG_S = 0.2
 PAUSE_AFTER_S = 0.15
 """Frames older than this, and the drill leaves the bone."""
 GIVE_UP_AFTER_S = 2.0
@@ -110,6 +111,7 @@ class Laps:
         self._tip: Vector | None = None
         self._reports: deque[SpindleStatus] = deque(maxlen=512)
         self._bitten = 0
+        self._logged_s = float("-inf")
         self._track: deque[tuple[float, float]] = deque(maxlen=64)
         """Where the tip was lately, for its speed."""
 
@@ -141,10 +143,11 @@ class Laps:
         polled_s = glanced_s = float("-inf")
         told_lap = floor(self.laps)
         while self._permits.open_points:
-            self._hands.beat()
+            report = self._hands.beat()
             if clock.now_s() - polled_s >= POLL_S:
                 polled_s = clock.now_s()
                 self._follow(self._hands.motion.status())
+                self._log(report)
             if clock.now_s() - glanced_s >= GLANCE_S:
                 glanced_s = clock.now_s()
                 self._watch.glance(self._tip)
@@ -267,6 +270,12 @@ class Laps:
         )
         if feeling is not None:
             self._permits.felt(index, ratio=feeling.ratio, above_idle=feeling.above_idle)
+
+    def _log(self, report: SpindleStatus) -> None:
+        """Load and place a few times a second, for the report."""
+        if report.time_s - self._logged_s >= LOG_S:
+            self._logged_s = report.time_s
+            self._hands.recorder.event("load", torque=report.torque_fraction, rpm=report.speed_rpm, tip_mm=self._tip)
 
     # Leaving and entering the bone.
 

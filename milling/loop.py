@@ -177,7 +177,7 @@ class _Run:
     def run(self) -> RunResult:
         """All stages, and whatever ends them."""
         outcome: Outcome
-        self.recorder.event("state", state="start", policy=self.job.policy)
+        self.recorder.event("state", state="start", job=asdict(self.job))
         try:
             outcome, reason = self._stages()
         except (Interrupted, KeyboardInterrupt):
@@ -288,9 +288,10 @@ class _Run:
         trajectory = plan(surface, center, job, self.offset, motion.travel, flat=self.policy.flat_start)
         self.recorder.event(
             "surface",
-            x_mm=surface.x_mm,
-            y_mm=surface.y_mm,
+            x_mm=surface.x_mm[::2],
+            y_mm=surface.y_mm[::2],
             z_mm=surface.z_mm[::2, ::2],
+            matches=len(points),
             measured=surface.measured.mean(),
         )
         self.recorder.event(
@@ -422,6 +423,7 @@ class _Run:
             bottom = self.trajectory.fit_mm[:, 2]
         ring = np.column_stack([ball[:, :2], bottom])
         view = RingView(self.calibration, ring, self.job.ball_radius_mm, self.offset)
+        self.recorder.event("ring", ring_px=view.ring_px, radius_px=view.radius_px, ring_mm=ring)
         witness = self._permits()
         return Watch(self.rig.camera, self.finders.completion, view, reference, witness, self.rig.clock, self.recorder)
 

@@ -30,7 +30,7 @@ SYNCED = frozenset(
 """Kinds of event that are on the disk before the run goes on."""
 
 SCHEMA = 1
-_FRAME_PERIOD_S = 1.0
+_FRAME_PERIOD_S = 2.0
 
 
 class RunRecorder:
