@@ -32,7 +32,7 @@ class Split:
 
 
 SPLITS = {
-    "train": Split(10_000_000, {"tip": 150, "landmarks": 320, "completion": 150}),
+    "train": Split(10_000_000, {"tip": 150, "landmarks": 320, "completion": 220}),
     "validation": Split(20_000_000, {"tip": 12, "landmarks": 20, "completion": 24}),
     "test": Split(30_000_000, {"tip": 12, "landmarks": 20, "completion": 24}),
 }

@@ -18,6 +18,9 @@ from vision.training import Batch, Data, Recipe, relit
 CROPS_PER_PICTURE = 3
 COARSE_SIGMA_CELLS = 0.7
 FINE_SIGMA_CELLS = 1.2
+TURNED = 0.4
+"""Share of the crops that are turned by up to ``TURN_DEG`` and scaled: rigs and heads are not all as drawn."""
+TURN_DEG = 12.0
 NEAR_PX = 24
 """The second look is trained on crops whose centre misses the point by at most this, as the first look may."""
 
@@ -29,9 +32,8 @@ class KeypointTask:
     (N, K) bool.
     """
 
-    recipes: Mapping[str, Recipe] = {"default": Recipe(steps=1600, batch=8, learning_rate=2e-3)}
-
-    def __init__(self, name: str, names: tuple[str, ...]) -> None:
+    def __init__(self, name: str, names: tuple[str, ...], *, steps: int) -> None:
+        self.recipes: Mapping[str, Recipe] = {"default": Recipe(steps=steps, batch=8, learning_rate=2e-3)}
         self.name = name
         self.names = names
 
@@ -56,7 +58,9 @@ class KeypointTask:
                 corner = self._corner(points[k], rng)
                 place = points[k] - corner
                 inside = bool(visible[k]) and bool((place > 2).all() and (place < CROP_PX - 3).all())
-                crop = picture[corner[1] : corner[1] + CROP_PX, corner[0] : corner[0] + CROP_PX]
+                crop = np.asarray(picture[corner[1] : corner[1] + CROP_PX, corner[0] : corner[0] + CROP_PX])
+                if inside and rng.random() < TURNED:
+                    crop = _turned(picture, corner, points[k], rng)
                 crops.append(relit(crop, rng))
                 targets.append(place if inside else np.zeros(2))
                 present.append(inside)
@@ -140,6 +144,15 @@ class KeypointTask:
             for index in range(len(data["pictures"]))
             for k, found in enumerate(finder.find_all(np.asarray(data["pictures"][index])))
         ]
+
+
+def _turned(picture: Image, corner: npt.NDArray[np.int64], point: npt.NDArray[Any], rng: np.random.Generator) -> Image:
+    """The crop at ``corner``, with the picture turned and scaled a little about ``point``."""
+    degrees, scale = rng.uniform(-TURN_DEG, TURN_DEG), np.exp(rng.uniform(-0.1, 0.1))
+    affine = cv2.getRotationMatrix2D((float(point[0]), float(point[1])), degrees, scale)
+    affine[:, 2] -= corner
+    crop = cv2.warpAffine(picture, affine, (CROP_PX, CROP_PX), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
+    return crop.astype(np.uint8)
 
 
 def _as_input(pictures: list[Image]) -> Tensor:

@@ -10,8 +10,8 @@ LANDMARKS = ("bregma", "lambda")
 def task_named(name: str) -> Task:
     """``tip``, ``landmarks`` or ``completion``."""
     tasks: dict[str, Task] = {
-        "tip": KeypointTask("tip", ("tip",)),
-        "landmarks": KeypointTask("landmarks", LANDMARKS),
+        "tip": KeypointTask("tip", ("tip",), steps=2000),
+        "landmarks": KeypointTask("landmarks", LANDMARKS, steps=3000),
         "completion": CompletionTask(),
     }
     return tasks[name]

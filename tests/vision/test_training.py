@@ -62,7 +62,7 @@ def losses_of(task, data, tmp_path, steps=TINY):
 
 
 def test_keypoints_learn_the_same_way_twice(discs, tmp_path):
-    task = KeypointTask("tip", ("tip",))
+    task = KeypointTask("tip", ("tip",), steps=1)
     first = losses_of(task, discs, tmp_path)
     assert first == losses_of(task, discs, tmp_path)
     assert np.mean(first[-3:]) < 0.9 * np.mean(first[:3])
@@ -100,7 +100,7 @@ def test_a_checkpoint_of_another_training_is_refused(rings, tmp_path, monkeypatc
 
 
 def test_exported_keypoints_answer_in_pixels_of_the_picture(discs, tmp_path):
-    task = KeypointTask("tip", ("tip",))
+    task = KeypointTask("tip", ("tip",), steps=1)
     path = tmp_path / "tip.onnx"
     export(task, task.network(), path)
     corners, maps = Network(path).run(picture=discs["pictures"][0])
