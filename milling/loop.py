@@ -357,12 +357,15 @@ class _Run:
         finder.find_all([(float(x), float(y)) for x, y in tip[:, :2]], [float(z) for z in tip[:, 2]], predicted, told)
 
     def _mill(self, laps: Laps, watch: Watch) -> tuple[Outcome, str]:
-        fruitless = 0
         while True:
             self._tell("mill")
             finished = laps.mill()
             if self.ledger is None:
-                return "complete", "the picture says that every point is done"
+                if finished:
+                    return "complete", "the picture says that every point is done"
+                return "held", "every point stands at the calibrated floor and the picture does not say done"
+            if not finished:
+                self.ledger.stall()
             self._look(watch)
             if self.ledger.done:
                 return "complete", "every point is through, judged again with the drill aside"
@@ -370,10 +373,6 @@ class _Run:
                 stuck = [i for i, point in enumerate(self.ledger.points) if point.state is PointState.STOPPED]
                 names = ", ".join(f"{i + 1} ({self.ledger.points[i].why})" for i in stuck)
                 return "held", f"no cue says that these points are through, and no look may re-open them: {names}"
-            fruitless = 0 if finished else fruitless + 1
-            if fruitless >= 2:
-                why = {self.ledger.points[i].why for i in self.ledger.open_points}
-                return "held", f"no point got a bite for two laps, also after a look: {'; '.join(sorted(why))}"
 
     def _look(self, watch: Watch) -> None:
         """Judge every point again with nothing in front of it."""

@@ -8,8 +8,9 @@ that point's own contact, and it needs all of
 - a spindle load above idle at its last biting pass (the contact itself stands for the first bites),
 - depth within the thickness prior and near that of finished neighbours.
 
-One cue that says "through" stops the point. Past the low end of the thickness prior the load must be whole: above idle
-is not enough there. What is stopped goes on only after a look with the drill lifted, and then only by a bounded amount.
+One cue that says "through" stops the point. A load that droops once, under a picture of bone, is a doubt: the next bite
+is a small one, and a second droop stops. Past the low end of the thickness prior the load must be whole: above idle is
+not enough there. What is stopped goes on only after a look with the drill lifted, and then only by a bounded amount.
 
 Standard library only, no clock, no device: every rule here can be read and tested by itself.
 """
@@ -34,8 +35,9 @@ class Limits:
         threshold: upper bound of completion that means "through".
         entry_mm: how deep the contact alone is evidence of bone: its own uncertainty, run-out included.
         frame_age_s: the oldest newest frame.
+        doubtful_bite_mm: the bite that settles a doubt.
         droop: a load below this share of what bone takes means "through".
-        whole: past the low end of the prior the load must reach this share.
+        whole: past the low end of the prior, and after a doubt, the load must reach this share.
         neighbour_mm: how much deeper than a finished neighbour a point may go.
         reopen_mm: what one look with the drill lifted may give back to a stopped point, beyond what its best
             estimate of completion leaves.
@@ -51,6 +53,7 @@ class Limits:
     threshold: float = 0.97
     entry_mm: float = 0.03
     frame_age_s: float = 0.1
+    doubtful_bite_mm: float = 0.005
     droop: float = 0.8
     whole: float = 0.85
     neighbour_mm: float = 0.08
@@ -91,6 +94,7 @@ class Point:
     completion: float = 0.0
     load_ratio: float | None = None
     load_above_idle: bool = False
+    doubt: bool = False
     frames_through: int = 0
     picture_through: bool = False
     load_through: bool = False
@@ -140,18 +144,25 @@ class Ledger:
             above_idle: whether there was any load at all.
         """
         point = self.points[index]
-        point.load_ratio = ratio
+        if ratio is not None:
+            point.load_ratio = ratio
         point.load_above_idle = above_idle or point.cut_mm <= self.limits.entry_mm
-        if not point.load_above_idle or (ratio is not None and ratio < self.limits.droop):
+        picture_of_bone = point.upper is not None and point.upper < self.limits.threshold
+        if not point.load_above_idle:
             point.load_through = True
             self._stop(point, "the load says through")
-        elif (
-            point.allowance_mm is not None
-            and (ratio is not None and ratio >= self.limits.whole)
-            and (point.upper is not None and point.upper < self.limits.threshold)
-        ):
-            # Both cues refute what stopped the point.
-            point.allowance_mm = None
+        elif ratio is not None:
+            late = point.doubt or point.cut_mm > self.limits.thickness_low_mm
+            if ratio >= (self.limits.whole if late else self.limits.droop):
+                point.doubt = False
+                if picture_of_bone:
+                    # Both cues refute what stopped the point, if it was stopped.
+                    point.allowance_mm = None
+            elif picture_of_bone and not point.doubt:
+                point.doubt = True
+            else:
+                point.load_through = True
+                self._stop(point, "the load says through")
 
     def ask(self, index: int, *, bite_mm: float, now_s: float, frame_at_s: float) -> Grant:
         """How deep the tip may go at this visit. Asking again within one visit never adds to it."""
@@ -181,6 +192,13 @@ class Ledger:
             )
         point.cut_mm = max(point.cut_mm, depth_mm)
 
+    def stall(self) -> None:
+        """No point got a bite for long: those that are open wait for a look."""
+        for point in self.points:
+            if point.state is PointState.OPEN:
+                waits = [reason for reason in point.verdicts if reason != "bite"]
+                self._stop(point, f"got no bite ({waits[-1] if waits else 'nothing asked'})")
+
     def look(self, index: int) -> PointState:
         """Judge a stopped point by what the lifted drill shows: finish it, or re-open it by a bounded amount.
 
@@ -196,6 +214,8 @@ class Ledger:
             self._finish(point, "picture and load agree: through")
         elif point.load_through and point.looks > 0 and plausible:
             self._finish(point, "the load said through twice")
+        elif through and point.looks > 0 and point.completion >= limits.threshold:
+            self._finish(point, "the picture says through, bound and best estimate")
         elif point.looks >= limits.looks:
             if point.picture_through or (point.load_through and plausible):
                 self._finish(point, "one cue says through after every look")
@@ -207,7 +227,7 @@ class Ledger:
             point.picture_through = point.load_through = False
             point.frames_through = 0
             # The load that stopped the point is what the next bite has to prove wrong.
-            point.load_above_idle, point.load_ratio = True, None
+            point.load_above_idle, point.load_ratio, point.doubt = True, None, False
             point.state, point.why = PointState.OPEN, "re-opened after a look"
         return point.state
 
@@ -267,9 +287,6 @@ class Ledger:
             return self._stop(point, "the allowance of the last look is used up")
         if depth > limits.thickness_high_mm:
             return self._stop(point, "the high end of the thickness prior is reached")
-        whole = point.load_ratio is not None and point.load_ratio >= limits.whole
-        if depth > limits.thickness_low_mm and not whole and not (reopened and point.load_ratio is None):
-            return self._stop(point, "past the low end of the thickness prior one cue is not enough")
         neighbour = self._finished_neighbour_mm(index)
         if not reopened and neighbour is not None and depth > neighbour + limits.neighbour_mm:
             return no("waits for its neighbours")
@@ -277,6 +294,9 @@ class Ledger:
 
     def _bite_limit(self, point: Point) -> float:
         limits = self.limits
+        unknown = point.load_ratio is None and point.cut_mm + limits.late_bite_mm > limits.thickness_low_mm
+        if point.doubt or (unknown and point.allowance_mm is None):
+            return limits.doubtful_bite_mm
         late = point.cut_mm + limits.bite_mm > limits.thickness_low_mm - limits.late_margin_mm
         if point.upper is not None:
             # The picture's share of what bone may remain, taken at the thinnest bone of the prior.
