@@ -284,6 +284,34 @@ def test_only_gnea_gets_its_report_mask_written_and_only_when_needed() -> None:
     controller.close()
 
 
+@pytest.mark.parametrize("mask", [0, 2])
+def test_a_controller_that_reports_work_positions_is_put_right_or_refused(mask: int) -> None:
+    controller, line = Bench("gnea", SETTINGS | {"$10": mask}).open()
+    assert b"$10=3\n" in line.written
+    controller.home()
+    controller.close()
+    bench = Bench("grblhal", SETTINGS)
+    bench.board.receive(b"$10=%d\n" % mask)
+    bench.clock.sleep_s(0.1)
+    with pytest.raises(ConfigError, match=rf"\$10 is {mask}.*\$10=3"):
+        bench.open()
+
+
+def test_the_floor_of_a_host_that_was_killed_does_not_stay(on_wire: Wired) -> None:
+    controller, _, bench = on_wire
+    controller.set_floor(0.0)
+    again, line = bench.open({"$132": 28, "$130": 35})
+    assert b"$132=28\n" in line.written
+    again.home()
+    assert again.travel.low_mm[2] == pytest.approx(-8.0)
+    again.set_floor(0.0)
+    with pytest.raises(ConfigError, match=r"\$130 is 35, the rig file expects 36"):
+        bench.open({"$132": 28, "$130": 36})
+    # The refusal wrote nothing.
+    with pytest.raises(ConfigError, match=r"\$132 is 20, the rig file expects 19"):
+        bench.open({"$132": 19, "$130": 35})
+
+
 @pytest.mark.parametrize(("mask", "home_mm"), [(0, -0.5), (1, -34.5)])
 def test_homing_directions(mask: int, home_mm: float) -> None:
     """The coordinates are negative wherever the switch is ($23), as long as the firmware sets no origin there."""

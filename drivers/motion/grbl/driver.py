@@ -87,7 +87,7 @@ class GrblController(MotionController):
             self._session.reset_and_release()
             self._info = self._read_build_info()
             self._settings = self._read_settings()
-            machine.check_expected(line.name, self._settings, expected_settings or {})
+            self._check_expected(expected_settings or {})
             if (mask := machine.report_mask_to_write(self._settings, self._info)) is not None:
                 self._write_setting(machine.REPORT_MASK, mask)
             machine.check_required(line.name, self._settings, self._info)
@@ -133,7 +133,7 @@ class GrblController(MotionController):
         self._find_switches()
         if self._floor_mm is not None:
             self._write_floor(self._floor_mm)
-            if self._info.is_hal:
+            if not self._homed:
                 self._find_switches()
 
     def start_move(self, target_mm: Vector, *, feed_mm_per_s: float) -> None:
@@ -252,6 +252,7 @@ class GrblController(MotionController):
             raise DeviceFaultError(
                 f"{session.name}: a floor can only be written at standstill; wait_until_idle() first"
             )
+        was_homed = self._homed
         if z_mm is None:
             self._write_z_travel(self._full_travel_mm)
             self._floor_mm = None
@@ -260,7 +261,7 @@ class GrblController(MotionController):
             self._write_floor(z_mm)
             self._floor_mm = z_mm
         self._travel = self._read_travel()
-        if self._info.is_hal and self._homed:
+        if was_homed and not self._homed:
             self._find_switches()
         self._session.tolerated_alarm = None
 
@@ -301,6 +302,14 @@ class GrblController(MotionController):
                 "is its memory worn out or write-protected?"
             )
 
+    def _check_expected(self, expected: Mapping[str, float]) -> None:
+        # The floor of a host that was killed is no reason to refuse; any other difference is, and nothing is written.
+        left_mm = machine.travel_to_restore(self._settings, expected)
+        restored = self._settings if left_mm is None else {**self._settings, machine.FLOOR_SETTING: left_mm}
+        machine.check_expected(self._session.name, restored, expected)
+        if left_mm is not None:
+            self._write_z_travel(left_mm)
+
     def _span(self, axis: int) -> machine.Span:
         return machine.span_of(axis, self._settings, self._info)
 
@@ -334,8 +343,10 @@ class GrblController(MotionController):
         self._write_z_travel(round(self._span(2).travel_for(low_mm), 3))
 
     def _write_z_travel(self, travel_mm: float) -> None:
-        # grblHAL forgets that Z was homed, and locks itself if it is set to insist on homing ($22).
-        self._session.tolerated_alarm = HOMING_REQUIRED
+        if self._info.is_hal:
+            # It forgets that Z was homed, and locks itself if it is set to insist on homing ($22).
+            self._session.tolerated_alarm = HOMING_REQUIRED
+            self._homed = False
         self._write_setting(machine.FLOOR_SETTING, travel_mm)
 
     def _find_switches(self) -> None:

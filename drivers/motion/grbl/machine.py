@@ -70,6 +70,16 @@ def check_expected(line: str, settings: Settings, expected: Mapping[str, float])
             )
 
 
+def travel_to_restore(settings: Settings, expected: Mapping[str, float]) -> float | None:
+    """The travel of Z that the rig file expects where the controller has a smaller one, else None.
+
+    A host that is killed leaves its floor in the controller, as a smaller travel.
+    """
+    wanted = next((value for name, value in expected.items() if number_of(name) == FLOOR_SETTING), None)
+    found = settings.get(FLOOR_SETTING)
+    return wanted if wanted is not None and found is not None and 0 < found < wanted - RESOLUTION_MM / 2 else None
+
+
 def check_required(line: str, settings: Settings, info: BuildInfo) -> None:
     """Refuse a controller that would not refuse for itself, or that counts in inches.
 

@@ -49,6 +49,7 @@ class GrblSession:
         self._banners = 0
         self._strikes = 0
         self._reports = 0
+        self._unreadable_reports = 0
         self._lost: str | None = None
         self._halts = 0
         self.on_report: Callable[[protocol.Report], None] = lambda _report: None
@@ -172,10 +173,7 @@ class GrblSession:
                 report = self.report
             if report is not None:
                 return report
-        raise DeviceTimeoutError(
-            f"{self.name}: no reply to {MISSED_REPLIES} status queries, {MISSED_REPLIES * REPLY_S:g} s in all; "
-            "stop the machine by its power switch if it moves, then look at the cable and the controller"
-        )
+        raise self._silent()
 
     def try_query(self) -> protocol.Report | None:
         """One query; None without a whole report in time."""
@@ -213,7 +211,7 @@ class GrblSession:
             )
         # grblHAL may print its banner twice. Whatever it still has to say comes before it answers a question.
         self._wait_for_quiet()
-        self.query()
+        self._wait_for_an_answer()
         self._expects_banner = False
         self._unacknowledged.clear()
         self._strikes = 0
@@ -241,6 +239,25 @@ class GrblSession:
             if self._heard == heard:
                 break
 
+    def _wait_for_an_answer(self) -> None:
+        # Any report will do, also one without a machine position: $10 is put right once the settings are known.
+        fault, seen = self.fault, self._reports + self._unreadable_reports
+
+        def answered() -> bool:
+            return self._reports + self._unreadable_reports > seen or self.fault is not fault
+
+        for _ in range(MISSED_REPLIES):
+            self.urgent(protocol.STATUS)
+            if self.pump_until(answered, REPLY_S):
+                return
+        raise self._silent()
+
+    def _silent(self) -> DeviceTimeoutError:
+        return DeviceTimeoutError(
+            f"{self.name}: no reply to {MISSED_REPLIES} status queries, {MISSED_REPLIES * REPLY_S:g} s in all; "
+            "stop the machine by its power switch if it moves, then look at the cable and the controller"
+        )
+
     def _take(self, message: protocol.Message) -> None:
         self._heard += 1
         if not isinstance(message, protocol.Report):
@@ -260,7 +277,9 @@ class GrblSession:
                 self._banners += 1
                 if not self._expects_banner:
                     self.latch("the controller was reset by somebody else or lost its power", position_lost=True)
-            case protocol.Broken(line, _) if not self._expects_banner:
+            case protocol.Broken(line, _) if self._expects_banner:
+                self._unreadable_reports += line.startswith("<")
+            case protocol.Broken(line, _):
                 self._strikes += 1
                 if self._strikes > 1:
                     self.upset = f"two broken lines in a row, the last one {line!r}"
