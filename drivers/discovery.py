@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from drivers.lock import owner_of
+from drivers.lock import can_device, owner_of
 
 _CAN_INTERFACE_TYPE = "280"
 _STABLE_PLACES = ("dev", "dev/serial/by-id", "dev/serial/by-path", "dev/v4l/by-id", "dev/v4l/by-path")
@@ -70,7 +70,7 @@ def _can_interfaces(root: Path) -> Iterator[FoundDevice]:
                 serial_number=_usb_text(interface / "device", "serial"),
                 product=_usb_text(interface / "device", "product"),
                 problem=None if is_up else step,
-                owner=None,
+                owner=owner_of(can_device(interface.name)),
             )
 
 

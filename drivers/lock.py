@@ -52,6 +52,11 @@ def lock_path(device: str) -> Path:
     return place / ("mill" + os.path.realpath(device).replace("/", "-") + ".lock")
 
 
+def can_device(interface: str) -> str:
+    """What the lock of a CAN network interface, which has no device node, is called."""
+    return f"/sys/class/net/{interface}"
+
+
 def owner_of(device: str) -> str | None:
     """Who holds the device, "pid 123 (mill run)", or None; takes and changes nothing."""
     path = lock_path(device)

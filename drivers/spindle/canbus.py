@@ -12,7 +12,7 @@ import can
 from can.interfaces.socketcan import SocketcanBus
 
 from drivers.errors import ConfigError, ConnectionLostError
-from drivers.lock import DeviceLock
+from drivers.lock import DeviceLock, can_device
 from drivers.motion.transport import SerialLine
 
 SLCAN_BAUD = 115_200
@@ -85,7 +85,7 @@ class _OwnedSocketcanBus(SocketcanBus):
     """SocketCAN lets any number of processes speak; one that commands a drill has it to itself."""
 
     def __init__(self, channel: str) -> None:
-        self._lock = DeviceLock(f"/sys/class/net/{channel}")
+        self._lock = DeviceLock(can_device(channel))
         try:
             super().__init__(channel=channel)
         except BaseException:

@@ -6,7 +6,7 @@ from pytest_mock import MockerFixture
 from serial.tools.list_ports_common import ListPortInfo
 
 from drivers.discovery import find_devices
-from drivers.lock import DeviceLock
+from drivers.lock import DeviceLock, can_device
 
 
 @pytest.fixture
@@ -82,6 +82,14 @@ def test_the_owner_and_a_missing_permission_are_told(root: Path, mocker: MockerF
     lock.release()
     assert f"pid {os.getpid()}" in (found.owner or "")
     assert "udev/README.md" in (found.problem or "")
+
+
+def test_the_owner_of_a_can_interface_is_told(root: Path) -> None:
+    lock = DeviceLock(can_device("can0"))
+    owners = {device.path: device.owner for device in find_devices(root=root) if device.kind == "can"}
+    lock.release()
+    assert f"pid {os.getpid()}" in (owners["can0"] or "")
+    assert owners["can1"] is None
 
 
 def test_a_node_that_is_gone_is_told(root: Path) -> None:
