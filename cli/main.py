@@ -5,6 +5,7 @@ Exit codes: 0 done; 1 ended, but not as asked (run held or aborted, a check fail
 """
 
 import importlib
+import signal
 import sys
 
 import click
@@ -64,7 +65,8 @@ def exit_code(error: MillError) -> int:
 
 
 def main() -> None:
-    """Run `mill`; an error of ours is one line and no traceback."""
+    """Run `mill`; an error of ours is one line and no traceback. SIGTERM is like Ctrl-C: devices are left safe."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         mill.main(standalone_mode=False)
     except click.exceptions.Exit as stop:

@@ -8,15 +8,18 @@ from pathlib import Path
 
 import click
 
+from cli.config import RigConfig
 from cli.options import rig_option
 from cli.rig import rig_for
 from drivers.clock import Clock
 from drivers.device import Device
-from drivers.errors import DeviceError
-from drivers.lock import owner_of
+from drivers.errors import DeviceError, MillError
+from drivers.lock import can_device, owner_of
 
 LIFT_S = 2.0
 """A run lifts the drill and stops the spindle within a second of being asked."""
+KILL_S = 1.0
+"""The kernel lets go of a killed process's locks in milliseconds, unless it hangs in a device's driver."""
 
 
 @click.command()
@@ -30,15 +33,14 @@ def stop(rig: Path | None) -> None:
     if rig is None:
         raise click.UsageError("--rig FILE is needed: it names the devices to stop")
     with rig_for(rig, emulate=False, specimen=None, seed=0) as bench:
-        tables = (bench.config.spindle.model_dump(), bench.config.motion.model_dump())
-        _end_owners([str(table[key]) for table in tables for key in ("port", "channel") if key in table], bench.clock)
+        _end_owners(_locked_names(bench.config), bench.clock)
         failures = []
         for name, opener in (("spindle", bench.open_spindle), ("motion", bench.open_motion)):
             try:
                 with opener() as device:
                     _stop(device)
                 click.echo(f"{name}: stopped")
-            except DeviceError as error:
+            except MillError as error:
                 failures.append(f"{name}: {error}")
     if failures:
         raise DeviceError("; ".join(failures) + "; switch the machine off at its emergency stop")
@@ -55,19 +57,27 @@ def _stop(device: Device) -> None:
         device.wait_until_at_speed(timeout_s=5.0)
 
 
-def _end_owners(paths: list[str], clock: Clock) -> None:
-    owners = {path: owner for path in paths if (owner := owner_of(path))}
-    pids = {int(found.group(1)) for owner in owners.values() if (found := re.match(r"pid (\d+)", owner))}
-    for pid in pids:
-        click.echo(f"asking pid {pid} to lift and stop")
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGTERM)
-    deadline_s = clock.now_s() + LIFT_S
-    while any(owner_of(path) for path in owners) and clock.now_s() < deadline_s:
-        clock.sleep_s(0.02)
-    for path in owners:
-        if owner_of(path):
-            click.echo(f"{path} is still held: killing its owner")
-            for pid in pids:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
+def _locked_names(config: RigConfig) -> list[str]:
+    """What the locks of spindle and motion are called: ports, or a network interface."""
+    spindle, motion = config.spindle.model_dump(), config.motion.model_dump()
+    if spindle.get("interface") == "socketcan":
+        spindle["channel"] = can_device(spindle["channel"])
+    return [str(table[key]) for table in (spindle, motion) for key in ("port", "channel") if key in table]
+
+
+def _end_owners(names: list[str], clock: Clock) -> None:
+    for number, words, limit_s in (
+        (signal.SIGTERM, "asking pid {} to lift and stop", LIFT_S),
+        (signal.SIGKILL, "pid {} does not end: killing it", KILL_S),
+    ):
+        for pid in sorted(_owners(names)):
+            click.echo(words.format(pid))
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.kill(pid, number)
+        deadline_s = clock.now_s() + limit_s
+        while _owners(names) and clock.now_s() < deadline_s:
+            clock.sleep_s(0.02)
+
+
+def _owners(names: list[str]) -> set[int]:
+    return {int(found[1]) for name in names if (found := re.match(r"pid (\d+)", owner_of(name) or ""))}
