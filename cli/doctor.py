@@ -1,7 +1,7 @@
 """`mill doctor`: opens, identifies, reads back and measures each device through the interfaces of `drivers`."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ from cli.options import emulate_option, json_option, rig_option, seed_option, sp
 from cli.output import write_json
 from cli.rig import Rig, rig_for
 from drivers.clock import Clock
-from drivers.device import Device
 from drivers.errors import DeviceError
 from drivers.motion.interface import MotionController, MotionState
 
@@ -31,6 +30,11 @@ class Check:
     unit: str
     limit: str
     passed: bool
+
+    def to_json(self) -> dict[str, float | str]:
+        """As the results file has it."""
+        verdict = "pass" if self.passed else "fail"
+        return {"name": self.name, "value": self.value, "unit": self.unit, "limit": self.limit, "verdict": verdict}
 
 
 @click.command()
@@ -56,14 +60,17 @@ def doctor(
     checks: list[Check] = []
     with rig_for(rig, emulate=emulate, specimen=specimen, seed=seed) as bench:
         moving = not no_motion
-        for check in chain(_motion_checks(bench, moving), _spindle_checks(bench, moving), _camera_checks(bench)):
+        for check in chain(
+            _whole("motion", _motion_checks(bench, moving)),
+            _whole("spindle", _spindle_checks(bench, moving)),
+            _whole("camera", _camera_checks(bench)),
+        ):
             checks.append(check)
             _show(console, check)
     passed = all(check.passed for check in checks)
     if json_file:
-        write_json(
-            json_file, "doctor", seed=seed if emulate else None, passed=passed, checks=[asdict(c) for c in checks]
-        )
+        found = [check.to_json() for check in checks]
+        write_json(json_file, "doctor", seed=seed if emulate else None, passed=passed, checks=found)
     failed = sum(not check.passed for check in checks)
     console.print(
         "[bold green]every check passed[/]" if passed else f"[bold red]{failed} of {len(checks)} checks failed[/]"
@@ -87,11 +94,12 @@ def _within(name: str, value: float, low: float, high: float, unit: str) -> Chec
     return Check(name, value, unit, f"{low:g} to {high:g}", low <= value <= high)
 
 
-def _opened(name: str, opener: Callable[[], Device]) -> Device | Check:
+def _whole(name: str, checks: Iterator[Check]) -> Iterator[Check]:
+    """The checks of one device; one that fails in the middle is a finding, and the next device's turn."""
     try:
-        return opener()
+        yield from checks
     except DeviceError as error:
-        return Check(f"{name}: opens", " ".join(str(error).split()), "", "no error", False)
+        yield Check(f"{name}: answers", " ".join(str(error).split()), "", "no error", False)
 
 
 def _percentile(values: list[float], share: float) -> float:
@@ -100,13 +108,7 @@ def _percentile(values: list[float], share: float) -> float:
 
 
 def _motion_checks(rig: Rig, moving: bool) -> Iterator[Check]:
-    opened = _opened("motion", rig.open_motion)
-    if isinstance(opened, Check):
-        yield opened
-        return
-    with opened:
-        motion = opened
-        assert isinstance(motion, MotionController)
+    with rig.open_motion() as motion:
         yield Check("motion: identity", motion.identity, "", "answers, settings as in the rig file", True)
         trips_ms = []
         for _ in range(ROUND_TRIPS):
@@ -154,15 +156,7 @@ def _standstill_s(motion: MotionController, clock: Clock) -> float:
 
 
 def _spindle_checks(rig: Rig, moving: bool) -> Iterator[Check]:
-    opened = _opened("spindle", rig.open_spindle)
-    if isinstance(opened, Check):
-        yield opened
-        return
-    from drivers.spindle.interface import Spindle
-
-    with opened:
-        spindle = opened
-        assert isinstance(spindle, Spindle)
+    with rig.open_spindle() as spindle:
         yield Check("spindle: identity", spindle.identity, "", "answers, host heartbeat read back", True)
         status = spindle.status()
         yield Check("spindle: fault", status.fault or "none", "", "none", status.fault is None)
@@ -202,17 +196,9 @@ def _heartbeat_loss(rig: Rig, spindle: Any, speed_rpm: float) -> Check:
 
 
 def _camera_checks(rig: Rig) -> Iterator[Check]:
-    opened = _opened("camera", rig.open_camera)
-    if isinstance(opened, Check):
-        yield opened
-        return
     import numpy as np
 
-    from drivers.camera.interface import StereoCamera
-
-    with opened:
-        camera = opened
-        assert isinstance(camera, StereoCamera)
+    with rig.open_camera() as camera:
         yield Check("camera: identity", camera.identity, "", "both open", True)
         started_s = rig.clock.now_s()
         ages_ms, stamps = [], []
