@@ -4,6 +4,16 @@ from pathlib import Path
 
 import click
 
+from drivers.errors import ConfigError
+
+
+def _writable(_context: click.Context, _parameter: click.Parameter, path: Path | None) -> Path | None:
+    """Refused before anything moves: a run's results must have a place to go to."""
+    if path is not None and not path.parent.is_dir():
+        raise ConfigError(f"{path}: no folder {path.parent}; make it, or name another --json file")
+    return path
+
+
 rig_option = click.option(
     "--rig", type=click.Path(path_type=Path), metavar="FILE", help="Rig file: use the devices it names."
 )
@@ -12,12 +22,17 @@ specimen_option = click.option(
     "--specimen", type=click.Path(path_type=Path), metavar="FILE", help="Specimen file of the virtual bench."
 )
 seed_option = click.option(
-    "--seed", type=int, default=0, show_default=True, help="Draws specimen and rig of the virtual bench."
+    "--seed",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Draws specimen and rig of the virtual bench.",
 )
 json_option = click.option(
     "--json",
     "json_file",
-    type=click.Path(path_type=Path),
+    type=click.Path(path_type=Path, dir_okay=False),
+    callback=_writable,
     metavar="FILE",
     help="Write the results as JSON; - for stdout.",
 )
