@@ -15,6 +15,8 @@ from pathlib import Path
 from drivers.errors import DeviceBusyError
 
 _SHARED_PLACES = (Path("/run/lock"), Path(tempfile.gettempdir()))
+_START_TIME = 19
+"""Its place in ``/proc/PID/stat`` behind the command name."""
 
 
 class DeviceLock:
@@ -36,7 +38,7 @@ class DeviceLock:
                 f"{device}: in use by {owner} (lock file {path}); stop that process, or wait until it ends"
             ) from None
         os.ftruncate(self._fd, 0)
-        os.pwrite(self._fd, f"pid {os.getpid()} ({_command()})\nstarted {_start_ticks(os.getpid())}\n".encode(), 0)
+        os.pwrite(self._fd, f"pid {os.getpid()} ({_command()})\nstarted {_stat(os.getpid())[_START_TIME]}\n".encode(), 0)
 
     def release(self) -> None:
         """Let go; a second call does nothing."""
@@ -67,7 +69,9 @@ def owner_of(device: str) -> str | None:
     pid = int(owner.split()[1])
     with contextlib.suppress(OSError):
         started = path.read_text(errors="replace").splitlines()[1].removeprefix("started ")
-        if started == _start_ticks(pid):
+        state, *_ = fields = _stat(pid)
+        # A zombie holds nothing: it waits only for its parent to hear that it ended.
+        if state != "Z" and started == fields[_START_TIME]:
             return owner
     return None
 
@@ -95,7 +99,8 @@ def _command() -> str:
     return " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]).replace("\n", " ")[:200]
 
 
-def _start_ticks(pid: int) -> str:
+def _stat(pid: int) -> list[str]:
+    """What the kernel says of a process, from its state on."""
     stat = Path(f"/proc/{pid}/stat").read_text(errors="replace")
     # The command name may hold spaces and brackets; the fields that count follow the last bracket.
-    return stat.rpartition(")")[2].split()[19]
+    return stat.rpartition(")")[2].split()

@@ -1,0 +1,123 @@
+"""The commands on real wires: a bench in another process, its rig file, and nothing else that they share."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from cli.config import load_rig
+from cli.main import main
+from drivers.lock import owner_of
+
+HOLDER = """
+import signal, sys, time
+from drivers.motion.serial_line import open_serial
+line = open_serial(sys.argv[1], 115200)
+if sys.argv[2] == "stubborn":
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+line.write(b"G91G1X-5F60\\n")
+print("holding", flush=True)
+time.sleep(60)
+"""
+"""Holds the motion port and knows nothing of stopping well."""
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The rig file of a served bench, with the bench's truth beside it."""
+    rig_file = tmp_path_factory.mktemp("bench") / "rig.toml"
+    command = [sys.executable, "-m", "cli.main", "emulate", "--rig-out", str(rig_file), "--until-stdin-closes"]
+    command += ["--truth-out", str(rig_file.with_name("truth.json"))]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as process:
+        try:
+            while not rig_file.is_file():
+                assert process.poll() is None
+                time.sleep(0.05)
+            yield rig_file
+        finally:
+            assert process.stdin is not None
+            process.stdin.close()
+            process.wait(20.0)
+
+
+def mill(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["mill", *words])
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        main()
+    except SystemExit as end:
+        return int(end.code or 0)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    return 0
+
+
+def test_doctor_passes_and_every_check_says_what_it_is(
+    bench: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = tmp_path / "doctor.json"
+    code = mill(monkeypatch, "doctor", "--rig", str(bench), "--json", str(results))
+    report = json.loads(results.read_text())
+    failed = [check for check in report["checks"] if check["verdict"] != "pass"]
+    assert (code, failed) == (0, [])
+    assert report["passed"] is True
+    for check in report["checks"]:
+        assert set(check) == {"name", "value", "unit", "limit", "verdict"}
+    names = {check["name"] for check in report["checks"]}
+    assert {"motion: hold to standstill", "spindle: speed after host silence", "camera: fresh pairs"} <= names
+    assert "every check passed" in capsys.readouterr().out
+
+
+def test_jog_homes_and_goes_where_it_is_told(
+    bench: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert mill(monkeypatch, "jog", "--rig", str(bench), "--home", "--to", "20", "5", "15", "--feed", "20") == 0
+    assert capsys.readouterr().out == "idle  tip in {R}: x 20.000  y 5.000  z 15.000 mm\n"
+    assert mill(monkeypatch, "jog", "--rig", str(bench), "--to", "20", "5", "99") == 3
+    assert "mill: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("manner", ["willing", "stubborn"])
+def test_stop_ends_who_holds_the_ports_and_stops_both_devices(
+    bench: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], manner: str
+) -> None:
+    port = load_rig(bench).motion.model_dump()["port"]
+    with subprocess.Popen([sys.executable, "-c", HOLDER, port, manner], stdout=subprocess.PIPE) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"holding\n"
+        assert owner_of(port) is not None
+        assert mill(monkeypatch, "stop", "--rig", str(bench)) == 0
+        assert holder.wait(5.0) == -(signal.SIGTERM if manner == "willing" else signal.SIGKILL)
+    said = capsys.readouterr().out.splitlines()
+    asked = [f"asking pid {holder.pid} to lift and stop"]
+    killed = [f"pid {holder.pid} does not end: killing it"] if manner == "stubborn" else []
+    assert said == [*asked, *killed, "spindle: stopped", "motion: stopped"]
+    assert owner_of(port) is None
+
+
+def test_sigterm_brings_a_moving_jog_to_rest(bench: Path) -> None:
+    def tip_mm() -> list[float]:
+        """Where the tip truly is, some moment after the call."""
+        asked_s = time.monotonic()
+        while (truth := json.loads(bench.with_name("truth.json").read_text()))["monotonic_s"] < asked_s:
+            time.sleep(0.02)
+        return list(truth["tip_mm"])
+
+    jog = [sys.executable, "-m", "cli.main", "jog", "--rig", str(bench), "--home", "--to"]
+    subprocess.run([*jog, "22", "5", "15", "--feed", "20"], check=True, timeout=60)
+    with subprocess.Popen([*jog, "-8", "5", "15", "--feed", "2"], stderr=subprocess.PIPE) as process:
+        while tip_mm()[0] > 21.0:
+            assert process.poll() is None
+        process.send_signal(signal.SIGTERM)
+        said = process.communicate(timeout=20.0)[1]
+    assert process.returncode == 130
+    assert said.split() == [b"mill:", b"interrupted"]
+    stopped_mm = tip_mm()
+    assert stopped_mm[0] > 0.0
+    time.sleep(0.3)
+    assert tip_mm() == stopped_mm
