@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from calib.camera_pair import N_PARAMETERS, CameraPair, Optics
 from calib.setpoints import box_points
 from calib.transform import Array
-from drivers.errors import CalibrationError, ConfigError
+from drivers.errors import ConfigError, WrongCalibrationError
 
 SCHEMA = 1
 _SEAL = re.compile(r'sha256 = "([0-9a-f]{64})"\n')
@@ -155,7 +155,7 @@ class Calibration:
         """Write the file so that it is whole or absent, also after a power cut.
 
         Raises:
-            CalibrationError: ``rig`` is given and is not the rig that was calibrated.
+            WrongCalibrationError: ``rig`` is given and is not the rig that was calibrated.
             ConfigError: the file cannot be written; what was there before is untouched.
         """
         if rig is not None:
@@ -178,13 +178,13 @@ class Calibration:
 
         Raises:
             ConfigError: no such file, corrupt, another schema, or a key that is unknown, missing or out of its range.
-            CalibrationError: it belongs to another rig, or is not for milling.
+            WrongCalibrationError: it belongs to another rig, or is not for milling.
         """
         calibration = _parse(path)
         if rig is not None:
             _require_same_rig(calibration.rig, rig, str(path))
         if for_milling and calibration.not_for_milling:
-            raise CalibrationError(
+            raise WrongCalibrationError(
                 f"{path}: not_for_milling: recipe {calibration.recipe!r} leaves height and handedness untested; "
                 "run `mill calibrate` with the default recipe"
             )
@@ -301,4 +301,4 @@ def _require_same_rig(calibrated: RigIdentity, found: RigIdentity, path: str) ->
     ours, theirs = found.model_dump(), calibrated.model_dump()
     if differing := [key for key in theirs if theirs[key] != ours[key]]:
         what = "; ".join(f"{key}: calibrated {theirs[key]!r}, found {ours[key]!r}" for key in differing)
-        raise CalibrationError(f"{path}: belongs to another rig ({what}); run `mill calibrate` on this rig")
+        raise WrongCalibrationError(f"{path}: belongs to another rig ({what}); run `mill calibrate` on this rig")

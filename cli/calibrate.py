@@ -66,10 +66,13 @@ def calibrate(
             Calibration.load(path, None)  # an unusable file is refused before anything moves
         started_s = bench.clock.now_s()
         with bench.open_spindle() as spindle, bench.open_camera() as camera, bench.open_motion() as motion:
+            known = (
+                Calibration.load(path, rig_identity(bench, motion, camera, spindle.identity)) if only_verify else None
+            )
             console.print("homing")
             motion.home()
-            if only_verify:
-                _verify(path, bench, motion, camera, spindle.identity, find_tip, console, json_file)
+            if known is not None:
+                _verify(known, path, bench, motion, camera, find_tip, console, json_file)
                 return
             calibration = calibrate_rig(bench, motion, camera, spindle.identity, find_tip, console, recipe=recipe)
             calibration.save(path)
@@ -185,19 +188,17 @@ def score(
 
 
 def _verify(
+    calibration: "Calibration",
     path: Path,
     bench: Rig,
     motion: "MotionController",
     camera: "StereoCamera",
-    spindle_identity: str,
     find_tip: "TipFinder",
     console: Any,
     json_file: Path | None,
 ) -> None:
     from calib import procedure
-    from calib.calibration_file import Calibration
 
-    calibration = Calibration.load(path, rig_identity(bench, motion, camera, spindle_identity))
     seen = procedure.verify(calibration, motion, camera, find_tip.find, clock=bench.clock)
     console.print(
         f"[bold green]verified[/] {path}: off by {seen.error_mm.round(3).tolist()} mm, {seen.error_px:.2f} px, "

@@ -1,7 +1,7 @@
 """The `mill` command. Each subcommand is loaded only when it is called: `mill --help` imports nothing heavy.
 
-Exit codes: 0 done; 1 ended, but not as asked (run held or aborted, a check failed); 2 wrong input, nothing moved;
-3 a device failed; 130 interrupted.
+Exit codes: 0 done; 1 ended, but not as asked (run held or aborted, a check or a calibration failed); 2 wrong input,
+nothing moved; 3 a device failed; 130 interrupted.
 """
 
 import importlib
@@ -10,7 +10,7 @@ import sys
 
 import click
 
-from drivers.errors import CalibrationError, ConfigError, DeviceError, MillError
+from drivers.errors import ConfigError, DeviceError, MillError
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "emulate": ("cli.emulate", "Serve a virtual bench on real wires, for the other commands to use."),
@@ -59,7 +59,7 @@ def mill() -> None:
 
 def exit_code(error: MillError) -> int:
     """2 for input that cannot be used, 3 for a device, 1 for the rest."""
-    if isinstance(error, ConfigError | CalibrationError):
+    if isinstance(error, ConfigError):
         return 2
     return 3 if isinstance(error, DeviceError) else 1
 

@@ -11,6 +11,7 @@
     │   └── OutOfTravelError            (also ValueError) a target outside the travel; nothing moved
     ├── ConfigError                     (also ValueError) a rig, specimen, job or calibration file
     ├── CalibrationError                a calibration that cannot be trusted
+    │   └── WrongCalibrationError       (also ConfigError) a calibration file of another rig, or not for this job
     ├── DetectionError                  the picture does not show what was asked for
     ├── PlanError                       a trajectory that must not be milled
     └── SafetyStop                      the machine stopped itself; the message is the reason
@@ -61,6 +62,10 @@ class ConfigError(MillError, ValueError):
 
 class CalibrationError(MillError):
     """A calibration that cannot be trusted."""
+
+
+class WrongCalibrationError(CalibrationError, ConfigError):
+    """A calibration file of another rig, or one that is not for this job."""
 
 
 class DetectionError(MillError):

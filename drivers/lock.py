@@ -38,7 +38,8 @@ class DeviceLock:
                 f"{device}: in use by {owner} (lock file {path}); stop that process, or wait until it ends"
             ) from None
         os.ftruncate(self._fd, 0)
-        os.pwrite(self._fd, f"pid {os.getpid()} ({_command()})\nstarted {_stat(os.getpid())[_START_TIME]}\n".encode(), 0)
+        pid = os.getpid()
+        os.pwrite(self._fd, f"pid {pid} ({_command()})\nstarted {_stat(pid)[_START_TIME]}\n".encode(), 0)
 
     def release(self) -> None:
         """Let go; a second call does nothing."""

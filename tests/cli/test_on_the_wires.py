@@ -8,11 +8,16 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+from pytest_mock import MockerFixture
 
+from calib.calibration_file import Calibration, RigIdentity
+from calib.camera_fit import fit_camera_pair
 from cli.config import load_rig
 from cli.main import main
 from drivers.lock import owner_of
+from drivers.motion.grbl.driver import GrblController
 
 HOLDER = """
 import signal, sys, time
@@ -98,6 +103,41 @@ def test_stop_ends_who_holds_the_ports_and_stops_both_devices(
     killed = [f"pid {holder.pid} does not end: killing it"] if manner == "stubborn" else []
     assert said == [*asked, *killed, "spindle: stopped", "motion: stopped"]
     assert owner_of(port) is None
+
+
+def calibration_of_another_rig() -> Calibration:
+    """A good one, of a microscope that looks straight down."""
+    points_mm = np.random.default_rng(0).uniform((0.0, -20.0, 0.0), (10.0, 0.0, 10.0), (16, 3))
+    across_px, down_px = 480.0 + (points_mm[:, 1] + 10.0) / 0.0395, 270.0 + (points_mm[:, 0] - 5.0) / 0.0395
+    left_px, right_px = (
+        np.column_stack([across_px + sign * 3.2 * points_mm[:, 2], down_px]).round(1) for sign in (1.0, -1.0)
+    )
+    fit = fit_camera_pair(points_mm, left_px, right_px, size_px=(960, 540), detector_sigma_px=0.3)
+    rig = RigIdentity(motion="stage 7", camera="eyes L1 R2")
+    return Calibration(fit.pair, "default", fit.model, {}, "right-handed", False, fit.rmse_mm, (), rig)
+
+
+@pytest.mark.parametrize("command", [["run"], ["calibrate", "--verify"]])
+def test_a_calibration_of_another_rig_moves_nothing(
+    bench: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    mocker: MockerFixture,
+    command: list[str],
+) -> None:
+    file = tmp_path / "other.toml"
+    calibration_of_another_rig().save(file)
+    home = mocker.spy(GrblController, "home")
+    where = "--calibration" if command == ["run"] else "--out"
+    record = ["--record", str(tmp_path / "run")] if command == ["run"] else []
+    assert mill(monkeypatch, *command, "--rig", str(bench), where, str(file), *record) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    for part in (str(file), "another rig", "stage 7", "mill calibrate"):
+        assert part in said
+    assert home.call_count == 0
+    assert not (tmp_path / "run").exists()
 
 
 def test_sigterm_brings_a_moving_jog_to_rest(bench: Path) -> None:

@@ -40,6 +40,8 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         ("run", ["--rig", "rig.toml"], ["calibrations", "no such calibration file", "mill calibrate"]),
         ("run", ["--rig", "rig.toml", "--calibration", "rig.toml"], ["rig.toml", "not a calibration file"]),
         ("calibrate", ["--rig", "rig.toml", "--verify"], ["no such calibration file", "mill calibrate"]),
+        ("calibrate", ["--rig", "rig.toml", "--json", "no/folder/x.json"], ["no/folder", "make it", "--json"]),
+        ("emulate", ["--seed", "-1"], ["--seed", "-1"]),
         ("emulate", ["--specimen", "nowhere.toml"], ["nowhere.toml"]),
         ("emulate", ["--rig-out", "no/folder/rig.toml"], ["no/folder", "make it"]),
         ("run", ["--emulate", "--specimen", "nowhere.toml"], ["nowhere.toml", "no such specimen file"]),
