@@ -1,6 +1,6 @@
 """`mill train` and `mill evaluate`."""
 
-import json
+import math
 import time
 from collections.abc import Callable
 from importlib.metadata import version
@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from cli.options import json_option
+from cli.output import write_json
 
 LOG_STEPS = 250
 """Where nobody watches a bar, a line is printed this often."""
@@ -111,20 +112,14 @@ def evaluate(
         figures = learned.judge(network, load_data(folder, "test"))
     console.print(_table(f"{network.path.name}, on held-out specimens and rigs", figures))
     if json_file:
-        report = {
-            "schema": 1,
-            "command": f"evaluate {task}",
-            "version": version("micromill"),
-            "seed": seed,
-            "weights_sha256": network.sha256,
-            "duration_s": time.monotonic() - started_s,
-            **figures,
-        }
-        text = json.dumps(report, indent=2)
-        if str(json_file) == "-":
-            click.echo(text)
-        else:
-            json_file.write_text(text + "\n", encoding="utf-8")
+        write_json(
+            json_file,
+            f"evaluate {task}",
+            seed=seed,
+            weights_sha256=network.sha256,
+            duration_s=time.monotonic() - started_s,
+            **{name: value if math.isfinite(value) else None for name, value in figures.items()},
+        )
 
 
 def _progress(console: Console) -> Progress:
