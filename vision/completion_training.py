@@ -40,7 +40,7 @@ class CompletionTask:
     """
 
     name = "completion"
-    recipes: Mapping[str, Recipe] = {"default": Recipe(steps=4000, batch=16, learning_rate=2e-3)}
+    recipes: Mapping[str, Recipe] = {"default": Recipe(steps=2500, batch=16, learning_rate=2e-3)}
 
     def network(self) -> nn.Module:
         """A fresh network."""
