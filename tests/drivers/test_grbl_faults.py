@@ -297,6 +297,50 @@ def test_a_controller_that_reports_work_positions_is_put_right_or_refused(mask: 
         bench.open()
 
 
+@pytest.mark.parametrize("dialect", ["gnea", "grblhal"])
+def test_a_first_boot_that_dumps_its_settings_is_taken(dialect: str) -> None:
+    bench = Bench(dialect, SETTINGS)
+    line = BadLine(InProcessLine(bench.board, bench.clock))
+    # A fresh memory: the reset breaks the dump off in the middle of a line.
+    line.once(b"Grbl", lambda banner: b"error:7\r\n$0=10\r\n$10=1\r\n$22\r\n" + banner)
+    with GrblController(line, bench.clock, origin_mm=ORIGIN_MM, max_feed_mm_per_s=20.0) as controller:
+        controller.home()
+        assert controller.status().state is MotionState.IDLE
+
+
+def test_an_alarm_of_1_1h_that_swallows_the_first_reset_is_still_released() -> None:
+    """ALARM:2 waits half a second before it listens, and a reset that comes earlier is lost."""
+    controller, line, bench = homed("gnea")
+    bench.board.receive(b"G53G1Z-99F600\n")
+    while controller.status().alarm is None:
+        bench.clock.sleep_s(0.01)
+    resets = line.written.count(b"\x18")
+    controller.home()
+    assert line.written.count(b"\x18") == resets + 2
+    controller.start_move((24.0, 9.0, 19.0), feed_mm_per_s=5.0)
+    assert controller.wait_until_idle(5.0).position_mm == pytest.approx((24.0, 9.0, 19.0), abs=0.0015)
+    controller.close()
+
+
+@pytest.mark.parametrize("dialect", ["gnea", "grblhal"])
+def test_a_coarse_machine_with_a_long_travel(dialect: str) -> None:
+    """250 steps/mm and 200 mm: every place within half a step, the floor and both ends of the travel reached."""
+    coarse = {f"${first + axis}": value for first, value in ((100, 250), (130, 200)) for axis in range(3)}
+    bench = Bench(dialect, SETTINGS | coarse)
+    with bench.open(coarse)[0] as controller:
+        controller.home()
+        controller.set_floor(-33.3333)
+        low, high = controller.travel.low_mm, controller.travel.high_mm
+        assert low == pytest.approx((-175.0, -190.0, -33.333), abs=0.001)
+        for target in ((high[0] - 0.5017, high[1] - 0.5, low[2]), (high[0] - 30.0013, high[1] - 7.7777, -5.5555)):
+            controller.start_move(target, feed_mm_per_s=20.0)
+            reached = controller.wait_until_idle(60.0).position_mm
+            assert reached == pytest.approx(target, abs=0.0026)
+        for index in range(30):  # steps shorter than one of the motor's
+            controller.start_move((target[0] + 0.001 * index, *target[1:]), feed_mm_per_s=1.0)
+        assert controller.wait_until_idle(5.0).queued_s == 0.0
+
+
 def test_the_floor_of_a_host_that_was_killed_does_not_stay(on_wire: Wired) -> None:
     controller, _, bench = on_wire
     controller.set_floor(0.0)
