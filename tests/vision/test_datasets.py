@@ -21,6 +21,24 @@ def test_no_split_can_reach_a_seed_of_another():
         assert all(split.first <= seed < split.first + 1_000_000 for seed in drawn[name])
 
 
+@pytest.mark.parametrize("task", ["tip", "landmarks", "completion"])
+def test_erratum_7_the_split_is_by_specimen_before_any_picture_is_made(task, tmp_path, monkeypatch):
+    """No augmented copy of a training picture can be tested on: not even its specimen can."""
+    seen = {name: set() for name in SPLITS}
+    for name in SPLITS:
+        monkeypatch.setitem(SPLITS[name].specimens, task, 9)
+
+        def samples(specimen, rng, name=name):
+            seen[name].add((specimen.kind, specimen.seed))
+            yield {"points": np.zeros(2)}
+
+        monkeypatch.setitem(ensure.__globals__["_SAMPLES"], task, samples)
+        ensure(task, name, tmp_path, seed=3, progress=lambda done, count: None)
+    assert all(len(specimens) == 9 for specimens in seen.values())
+    for one, two in itertools.combinations(SPLITS, 2):
+        assert not seen[one] & seen[two]
+
+
 def test_a_killed_rendering_goes_on_and_gives_the_same(tmp_path, monkeypatch):
     monkeypatch.setitem(SPLITS["test"].specimens, "tip", 3)
 
