@@ -1,5 +1,6 @@
 """What a person can get wrong: one clear line, exit code 2, no traceback, nothing opened or moved."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -86,6 +87,30 @@ def test_an_absent_device_names_path_reason_and_next_step(
     said = capsys.readouterr().err
     for part in ("/dev/mill-motion", "no such", "mill devices"):
         assert part.lower() in said.lower()
+
+
+def test_doctor_goes_on_to_the_next_device(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results = tmp_path / "doctor.json"
+    assert mill("doctor", "--rig", str(rig), "--json", str(results), monkeypatch=monkeypatch) == 1
+    checks = json.loads(results.read_text())["checks"]
+    assert [(check["name"], check["verdict"]) for check in checks] == [
+        ("motion: answers", "fail"),
+        ("spindle: answers", "fail"),
+        ("camera: answers", "fail"),
+    ]
+    assert "/dev/mill-spindle" in checks[1]["value"]
+    assert "3 of 3 checks failed" in capsys.readouterr().out
+
+
+def test_stop_tries_both_devices_and_names_what_it_could_not_stop(
+    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert mill("stop", "--rig", str(rig), monkeypatch=monkeypatch) == 3
+    said = capsys.readouterr().err
+    for part in ("spindle: /dev/mill-spindle", "motion: /dev/mill-motion", "emergency stop"):
+        assert part in said
 
 
 @pytest.mark.parametrize("name", ["tip.onnx", "landmarks.onnx", "completion.onnx"])
