@@ -5,6 +5,7 @@ uncertainty grows to what the relief shows elsewhere. The random part shrinks wi
 calibration's own error does not, and is carried along unshrunk.
 """
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -168,7 +169,10 @@ def _scatter(xy: Floats, residual: Floats, relief: Floats, side: Floats) -> floa
 
 
 def _normals(x: Floats, y: Floats, z: Floats) -> Floats:
-    import open3d
+    with warnings.catch_warnings():
+        # It says that there is no GPU, which nothing here needs.
+        warnings.simplefilter("ignore", ImportWarning)
+        import open3d
 
     grid_x, grid_y = np.meshgrid(x, y)
     cloud = open3d.geometry.PointCloud(

@@ -1,0 +1,95 @@
+"""Feeling a breakthrough: the load follows the chord while there is bone, and droops when its middle is gone."""
+
+from math import sqrt
+
+import numpy as np
+import pytest
+
+from milling.load import Idle, LoadMeter, chord_mm
+
+IDLE = Idle(0.08, 0.01)
+GAIN = 16.0
+
+
+def passes(
+    meter: LoadMeter, cuts: list[float], bites: list[float], *, gone: float = 0.0, speed: float = 1.0
+) -> list[float | None]:
+    """Laps of a ring of three equal points; ``gone`` is the width missing from the chord at the last pass."""
+    ratios: list[float | None] = []
+    depth = 0.0
+    for lap, (cut, bite) in enumerate(zip(cuts, bites, strict=True)):
+        depth += bite
+        width = chord_mm(depth, 0.5) - (gone if lap == len(cuts) - 1 else 0.0)
+        for index in range(3):
+            for offset in np.linspace(-0.4, 0.4, 8):
+                meter.report(index, IDLE.mean + GAIN * speed * cut * width, offset=float(offset), speed=speed)
+            feeling = meter.leave(index, bite_mm=[bite] * 3, depth_mm=[depth] * 3)
+            if index == 1:
+                ratios.append(None if feeling is None else feeling.ratio)
+    return ratios
+
+
+def sprung(bites: list[float], compliance: float) -> list[float]:
+    cuts, before = [], 0.0
+    for bite in bites:
+        before = (bite + compliance * before) / (1 + compliance)
+        cuts.append(before)
+    return cuts
+
+
+def meter() -> LoadMeter:
+    return LoadMeter(3, IDLE, ball_radius_mm=0.5, sound_depth_mm=0.25)
+
+
+def test_bone_reads_as_one() -> None:
+    bites = [0.013] * 25
+    ratios = [ratio for ratio in passes(meter(), sprung(bites, 0.6), bites) if ratio is not None]
+    assert len(ratios) > 12
+    assert all(0.95 < ratio < 1.05 for ratio in ratios)
+
+
+def test_one_bite_past_the_inner_surface_droops_by_a_quarter() -> None:
+    bites = [0.013] * 25
+    through = 2 * sqrt(0.013 * (1 - 0.013))
+    last = passes(meter(), sprung(bites, 0.6), bites, gone=through)[-1]
+    assert last is not None
+    assert 0.7 < last < 0.82
+
+
+def test_a_pause_is_not_a_breakthrough() -> None:
+    bites = [0.013] * 14 + [0.0] * 3 + [0.013] * 6
+    for compliance in (0.0, 0.3, 0.6, 0.8):
+        ratios = passes(meter(), sprung(bites, compliance), bites)
+        assert ratios[14:18] == [None] * 4
+        assert all(ratio is not None and ratio > 0.85 for ratio in ratios[18:])
+
+
+def test_a_slow_ball_is_not_a_breakthrough() -> None:
+    slow, bites = meter(), [0.013] * 14
+    passes(slow, sprung(bites, 0.6), bites)
+    again = passes(slow, [0.013], [0.013], speed=0.6)
+    assert again[0] is None or again[0] > 0.5
+    crawling = meter()
+    assert passes(crawling, [0.013] * 12, [0.013] * 12, speed=0.3) == [None] * 12
+
+
+def test_too_few_reports_say_nothing() -> None:
+    quiet = meter()
+    quiet.report(0, 0.2, offset=0.0, speed=1.0)
+    assert quiet.leave(0, bite_mm=[0.01] * 3, depth_mm=[0.1] * 3) is None
+
+
+def test_no_bite_no_feeling() -> None:
+    still = meter()
+    for _ in range(9):
+        still.report(0, 0.2, offset=0.0, speed=1.0)
+    assert still.leave(0, bite_mm=[0.0] * 3, depth_mm=[0.1] * 3) is None
+
+
+def test_idle_needs_a_baseline_and_judges_means() -> None:
+    with pytest.raises(ValueError, match="baseline"):
+        Idle.of([0.1])
+    idle = Idle.of([0.08, 0.09, 0.07, 0.08])
+    assert not idle.above([], 4.0)
+    assert not idle.above([0.082] * 4, 4.0)
+    assert idle.above([0.12] * 4, 4.0)
