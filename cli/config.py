@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import pydantic
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from drivers.errors import ConfigError
 
@@ -45,8 +45,15 @@ class Cia402SpindleTable(Table):
     bitrate: int = Field(1_000_000, gt=0)
     node_id: int = Field(1, ge=1, le=126)
     speed_rpm: Positive = 45_000.0
-    max_speed_rpm: Positive = 60_000.0
+    max_speed_rpm: Annotated[Positive, Field(validate_default=True)] = 60_000.0
     heartbeat_s: Annotated[float, Field(ge=0.05, le=1.0)] = 0.25
+
+    @field_validator("max_speed_rpm")
+    @classmethod
+    def _allows_the_speed(cls, max_speed_rpm: float, others: ValidationInfo) -> float:
+        if max_speed_rpm < (speed_rpm := others.data.get("speed_rpm", 0.0)):
+            raise ValueError(f"speed_rpm = {speed_rpm:g} is above it")
+        return max_speed_rpm
 
 
 class OpenCvCamera(Table):
@@ -58,9 +65,16 @@ class OpenCvCamera(Table):
     size_px: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] = (960, 540)
     fps: Positive = 30.0
     max_skew_s: Positive = 0.02
-    exposure: Finite | None = None
+    exposure: Annotated[Finite | None, Field(validate_default=True)] = None
     gain: Finite | None = None
     white_balance_k: Positive | None = None
+
+    @field_validator("exposure")
+    @classmethod
+    def _is_fixed_on_devices(cls, exposure: float | None, others: ValidationInfo) -> float | None:
+        if exposure is None and any("://" not in others.data.get(side, "://") for side in ("left", "right")):
+            raise ValueError("a V4L2 camera needs a fixed exposure")
+        return exposure
 
 
 class OtherBackend(BaseModel):

@@ -12,6 +12,7 @@ import can
 
 from drivers.clock import Clock
 from drivers.errors import (
+    ConfigError,
     DeviceError,
     DeviceFaultError,
     DeviceTimeoutError,
@@ -113,11 +114,14 @@ class Cia402Spindle(Spindle):
         """Enable the drive and let the drill run up; a turning drill changes its speed.
 
         Raises:
-            ValueError: a speed outside the limits; nothing was sent.
+            ConfigError: (also ValueError) a speed outside the limits; nothing was sent.
             DeviceFaultError: the drive is in fault, does not come up, or ``stop()`` came meanwhile.
         """
         if not (math.isfinite(speed_rpm) and 1 <= speed_rpm <= self._max_speed_rpm):
-            raise ValueError(f"speed {speed_rpm:g} rpm is outside the limits: allowed 1 to {self._max_speed_rpm:g} rpm")
+            raise ConfigError(
+                f"{self._node.name}: speed {speed_rpm:g} rpm is outside the limits, allowed 1 to "
+                f"{self._max_speed_rpm:g} rpm; nothing was sent"
+            )
         target_rpm = round(speed_rpm)
         seen_stops = self._stops
         self._node.pump()

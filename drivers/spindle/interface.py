@@ -35,7 +35,7 @@ class Spindle(Device):
 
     @abstractmethod
     def start(self, speed_rpm: float) -> None:
-        """Set the speed and let the drill run up; refuses a speed outside the drive's limits (ValueError)."""
+        """Set the speed and let the drill run up; refuses a speed outside the drive's limits (ConfigError)."""
 
     @abstractmethod
     def stop(self) -> None:

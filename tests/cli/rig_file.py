@@ -15,4 +15,5 @@ channel = "/dev/mill-spindle"
 [camera]
 left = "/dev/mill-left"
 right = "/dev/mill-right"
+exposure = 150
 """

@@ -36,6 +36,8 @@ def test_a_good_file_loads_with_the_defaults_of_the_field(tmp_path: Path) -> Non
         ('port = "/dev/mill-motion"', "", ["motion.port", "missing"]),
         ('left = "/dev/mill-left"', "left = 7", ["camera.left", "7"]),
         ('backend = "cia402"', 'backend = "cia402"\nnode_id = 200', ["spindle.node_id", "200", "126"]),
+        ("exposure = 150", "", ["camera.exposure", "None", "fixed exposure"]),
+        ('backend = "cia402"', 'backend = "cia402"\nspeed_rpm = 7e4', ["spindle.max_speed_rpm", "60000", "70000"]),
         ("[camera]", "[camera", ["not TOML", "line"]),
     ],
 )
