@@ -69,7 +69,7 @@ class Job:
     thickness_low_mm: float = 0.25
     thickness_high_mm: float = 0.6
     spindle_rpm: float = 50_000
-    completion_threshold: float = 0.97
+    completion_threshold: float = 0.995
     detection_gate_px: float = 10.0
     calibration_gate_mm: float = 1.0
     segment_s: float = 0.03

@@ -50,7 +50,7 @@ class Limits:
     late_margin_mm: float = 0.1
     thickness_low_mm: float = 0.25
     thickness_high_mm: float = 0.6
-    threshold: float = 0.97
+    threshold: float = 0.995
     entry_mm: float = 0.03
     frame_age_s: float = 0.1
     doubtful_bite_mm: float = 0.005

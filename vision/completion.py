@@ -19,8 +19,14 @@ CROP_PX = 160
 CELL_PX = 2.0
 MISSING = 128
 """Grey that stands for a reference picture that does not exist."""
-THROUGH_FROM = 0.5
-"""Probability of penetration from which the upper bound is 1 whatever else the network says."""
+HOLE_NOT_EXCLUDED = 0.2
+"""Probability of a hole from which the upper bound is 1, whatever else the network says."""
+HOLE_SEEN = 0.5
+"""Probability of a hole from which the best estimate is through."""
+THROUGH = 0.995
+"""From here on a completion means "through". A hole is seen as such: thin bone over the bed looks different."""
+THIN = 0.99
+"""The most that bone without a hole in it is said to be milled."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +82,8 @@ class CompletionReader:
         maps = np.asarray(self._network.run(crops=crop[None])[0][0], dtype=np.float32)
         cells = cell_from_crop(ring_px @ crop_from_image[:, :2].T + crop_from_image[:, 2])
         completion, upper, _, drill, through = (sample(plane, cells) for plane in maps)
-        upper = np.maximum(upper + self._network.constants.get("upper_margin", 0.0), completion)
-        upper = np.where(probability(through) >= THROUGH_FROM, 1.0, np.minimum(upper, 1.0))
+        margin = self._network.constants.get("upper_margin", 0.0)
+        completion, upper = bounded(completion, upper + margin, probability(through))
         height, width = image.shape[:2]
         inside = (ring_px >= 0).all(axis=1) & (ring_px[:, 0] <= width - 1) & (ring_px[:, 1] <= height - 1)
         image_from_heat = _image_from_heat(crop_from_image)
@@ -89,6 +95,19 @@ class CompletionReader:
             heat_map=np.where(maps[2] > 0.0, maps[0], 0.0).astype(np.float32),
             image_from_heat=image_from_heat,
         )
+
+
+def bounded(
+    completion: npt.NDArray[np.float64], upper: npt.NDArray[np.float64], hole: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Estimate and upper bound, once the network's probability of a hole has its say.
+
+    How thin bone is shows in its colour only roughly; whether there is a hole in it shows plainly. So "through" is
+    said by the hole alone, and denied only where a hole is excluded.
+    """
+    completion = np.where(hole >= HOLE_SEEN, np.clip(completion, THROUGH, 1.0), np.clip(completion, 0.0, THIN))
+    upper = np.where(hole >= HOLE_NOT_EXCLUDED, 1.0, np.clip(upper, 0.0, THIN))
+    return completion, np.maximum(upper, completion)
 
 
 def crop_affine(

@@ -14,7 +14,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vision.completion import CROP_PX, MISSING, cell_from_crop, probability, sample
+from vision.completion import (
+    CROP_PX,
+    HOLE_NOT_EXCLUDED,
+    MISSING,
+    THROUGH,
+    bounded,
+    cell_from_crop,
+    probability,
+    sample,
+)
 from vision.networks import CELL_PX, CompletionNet
 from vision.runtime import Floats, Network
 from vision.training import Batch, Data, Recipe, relit
@@ -28,7 +37,7 @@ CAUTION = 0.98
 BAND_CELLS = 4
 RELIT = 0.5
 """Share of the crops that are seen under another light than the one they were rendered in."""
-COMPLETION, RING, DRILL, KERF, THROUGH = range(5)
+COMPLETION, RING, DRILL, KERF, HOLE = range(5)
 """Planes of ``labels``."""
 
 
@@ -89,7 +98,7 @@ class CompletionTask:
         pinball = (torch.maximum(BOUND * short, (BOUND - 1.0) * short) * weight).sum()
         kerf = functional.binary_cross_entropy_with_logits(maps[:, 2], labels[:, KERF])
         drill = functional.binary_cross_entropy_with_logits(maps[:, 3], labels[:, DRILL])
-        through = functional.binary_cross_entropy_with_logits(maps[:, 4], labels[:, THROUGH], reduction="none")
+        through = functional.binary_cross_entropy_with_logits(maps[:, 4], labels[:, HOLE], reduction="none")
         return 4.0 * estimate + 4.0 * pinball + 0.3 * kerf + 0.5 * drill + (through * weight).sum()
 
     def example(self) -> dict[str, Tensor]:
@@ -101,7 +110,7 @@ class CompletionTask:
         """``upper_margin``: what must be added to the quantile head so that held-out truth stays below (conformal)."""
         read = self._read(network, data)
         seen = ~read["hidden"].astype(bool)
-        short = np.where(read["through"] >= 0.5, -1.0, read["truth"] - read["upper"])[seen]
+        short = np.where(read["through"] >= HOLE_NOT_EXCLUDED, -1.0, read["truth"] - read["upper"])[seen]
         # Truth of 1 is bounded by 1 whatever is added, so a bound may fall short there only by missing the hole.
         return {"upper_margin": float(np.quantile(short, CAUTION))}
 
@@ -111,16 +120,15 @@ class CompletionTask:
         seen = ~read["hidden"].astype(bool)
         margin = network.constants.get("upper_margin", 0.0)
         truth, estimate = read["truth"][seen], read["completion"][seen]
-        through = read["through"][seen] >= 0.5
-        upper = np.where(through, 1.0, np.minimum(np.maximum(read["upper"][seen] + margin, estimate), 1.0))
+        estimate, upper = bounded(estimate, read["upper"][seen] + margin, read["through"][seen])
         hole, bone, begun = truth >= 0.999, truth <= 0.85, truth >= 0.05
         return {
             "rmse": float(np.sqrt(np.mean((estimate - truth) ** 2))),
             "mape_from_0.05": float(np.mean(np.abs(estimate - truth)[begun] / truth[begun])),
             "upper_bound_coverage": float(np.mean(upper >= truth)),
-            "upper_below_0.97_up_to_0.85": float(np.mean(upper[bone] < 0.97)),
-            "penetration_recall": float(np.mean(upper[hole] >= 0.97)),
-            "penetration_false_alarm": float(np.mean(through[bone])),
+            "bite_permitted_up_to_0.85": float(np.mean(upper[bone] < THROUGH)),
+            "penetration_recall": float(np.mean(upper[hole] >= THROUGH)),
+            "penetration_false_alarm": float(np.mean(estimate[bone] >= THROUGH)),
             "hidden_recall": float(np.mean(read["drill"][read["hidden"]] > 0)) if read["hidden"].any() else 1.0,
             "hidden_false_alarm": float(np.mean(read["drill"][seen] > 0)),
             "kerf_iou": float(np.mean(read["iou"])),
@@ -177,7 +185,7 @@ def paint_labels(
     label[..., RING] = band
     label[..., DRILL] = drill
     label[..., KERF] = completion_map > 0.02
-    label[..., THROUGH] = np.where(band, along >= 0.999, completion_map >= 0.999)
+    label[..., HOLE] = np.where(band, along >= 0.999, completion_map >= 0.999)
     return label
 
 

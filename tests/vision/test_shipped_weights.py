@@ -57,5 +57,5 @@ def test_completion_is_bounded_and_penetration_is_seen():
     assert found["rmse"] < 0.12
     assert found["upper_bound_coverage"] > 0.95
     assert found["penetration_recall"] > 0.95
-    assert found["upper_below_0.97_up_to_0.85"] > 0.9
+    assert found["bite_permitted_up_to_0.85"] > 0.9
     assert found["hidden_recall"] > 0.9
