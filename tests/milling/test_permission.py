@@ -152,7 +152,7 @@ def test_a_whole_load_settles_the_doubt() -> None:
 def test_a_droop_and_a_picture_of_a_hole_stop_at_once() -> None:
     ledger = touched()
     dig(ledger, 0, 0.15)
-    ledger.seen(0, completion=0.98, upper=0.99, exposed_at_s=1e3)
+    ledger.seen(0, completion=0.98, upper=1.0, exposed_at_s=1e3)
     ledger.felt(0, ratio=0.5, above_idle=True)
     assert ledger.points[0].load_through
 
@@ -214,7 +214,7 @@ def stopped_by_picture() -> Ledger:
     ledger = touched()
     dig(ledger, 0, 0.3)
     for at_s in (1e3, 1e3 + 1):
-        ledger.seen(0, completion=0.9, upper=0.98, exposed_at_s=at_s)
+        ledger.seen(0, completion=0.9, upper=1.0, exposed_at_s=at_s)
     assert ledger.points[0].state is PointState.STOPPED
     return ledger
 
@@ -235,7 +235,7 @@ def test_a_look_reopens_by_a_bounded_amount_and_not_for_ever() -> None:
     for _ in range(10):
         ledger.look(0)
         for _ in range(20):
-            visit(ledger, 0, now_s, upper=0.98)
+            visit(ledger, 0, now_s, upper=1.0)
             now_s += 3.0
     assert start + 0.02 < ledger.cut_mm(0) <= start + LIMITS.looks * LIMITS.most_reopen_mm + 1e-9
     assert ledger.points[0].state is PointState.DONE
