@@ -87,10 +87,10 @@ class Laps:
         trajectory: Trajectory,
         top_z_mm: Floats,
         job: Job,
-        told: Callable[[], None],
+        told: Callable[["Laps"], None],
     ) -> None:
         """``top_z_mm`` (n,) is the tip height at depth zero: contact, or the start where there is no contact."""
-        self._hands, self._watch, self._permits, self._meter = hands, watch, permits, meter
+        self._hands, self._watch, self.permits, self._meter = hands, watch, permits, meter
         self._policy, self._path, self._job, self._told = policy, trajectory.path, job, told
         self._knots, self._length = trajectory.knots_mm, trajectory.length_mm
         self.top_z_mm = top_z_mm
@@ -142,7 +142,7 @@ class Laps:
         clock = self._hands.clock
         polled_s = glanced_s = float("-inf")
         told_lap = floor(self.laps)
-        while self._permits.open_points:
+        while self.permits.open_points:
             report = self._hands.beat()
             if clock.now_s() - polled_s >= POLL_S:
                 polled_s = clock.now_s()
@@ -164,7 +164,7 @@ class Laps:
                 return False
             if floor(self.laps) > told_lap:
                 told_lap = floor(self.laps)
-                self._told()
+                self._told(self)
                 if told_lap >= self._job.max_laps:
                     raise SafetyStop(f"{told_lap} laps and still open points, allowed {self._job.max_laps} (max_laps)")
             if not wrote:
@@ -178,8 +178,8 @@ class Laps:
         number = self._next
         target = ceil(number / self._per_point)
         index = target % self._n
-        completion = self._permits.completion(index)
-        grant = self._permits.ask(
+        completion = self.permits.completion(index)
+        grant = self.permits.ask(
             index,
             bite_mm=self._policy.bite_mm(completion),
             now_s=self._hands.clock.now_s(),
@@ -188,7 +188,7 @@ class Laps:
         if grant.deeper:
             self._bitten = number
         self._depth[index] = grant.depth_mm
-        self._bite[index] = grant.depth_mm - self._permits.cut_mm(index)
+        self._bite[index] = grant.depth_mm - self.permits.cut_mm(index)
         vertex = self._vertex(number)
         self._hands.motion.start_move(vertex, feed_mm_per_s=self._job.feed_mm_s)
         self._vertices.append((number, vertex))
@@ -262,14 +262,14 @@ class Laps:
             self._meter.report(nearest % self._n, report.torque_fraction, offset=where - nearest, speed=speed)
 
     def _leave(self, index: int, time_s: float) -> None:
-        self._permits.passed(index, depth_mm=float(self._depth[index]), now_s=time_s)
+        self.permits.passed(index, depth_mm=float(self._depth[index]), now_s=time_s)
         if self._meter is None:
             return
         feeling = self._meter.leave(
-            index, bite_mm=self._bite.tolist(), depth_mm=self._depth.tolist(), freed=self._permits.through_share
+            index, bite_mm=self._bite.tolist(), depth_mm=self._depth.tolist(), freed=self.permits.through_share
         )
         if feeling is not None:
-            self._permits.felt(index, ratio=feeling.ratio, above_idle=feeling.above_idle)
+            self.permits.felt(index, ratio=feeling.ratio, above_idle=feeling.above_idle)
 
     def _log(self, report: SpindleStatus) -> None:
         """Load and place a few times a second, for the report."""
@@ -297,7 +297,7 @@ class Laps:
         self._abandon()
         number = ceil(self._at)
         self._next = self._bitten = number
-        self._depth = np.array([self._permits.cut_mm(index) for index in range(self._n)])
+        self._depth = np.array([self.permits.cut_mm(index) for index in range(self._n)])
         self._bite = np.zeros(self._n)
         x, y, z = self._vertex(number)
         top = float(np.max(self.top_z_mm)) + LIFT_MM
@@ -320,4 +320,4 @@ class Laps:
     def _abandon(self) -> None:
         """Points whose visit the tip did not finish keep the depth they had."""
         for point in range(self._left, ceil(self._next / self._per_point) + 1):
-            self._permits.void(point % self._n)
+            self.permits.void(point % self._n)

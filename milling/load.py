@@ -140,8 +140,10 @@ class LoadMeter:
         return Feeling(ratio, self.idle.above(torques, 3.0), len(torques))
 
     def _reference(self, index: int) -> float | None:
-        """What bone took here so far; None while there is too little of it."""
+        """What bone took here so far, or all round while that is too little; None while that is too little as well."""
         own = self._sound[index]
+        if len(own) < _OWN:
+            own = deque(gain for gains in self._sound for gain in gains)
         reference = median(own) if len(own) >= _OWN else 0.0
         return reference if reference > 0 else None
 

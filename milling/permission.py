@@ -6,7 +6,7 @@ that point's own contact, and it needs all of
 - a frame at most ``frame_age_s`` old (the eyes are alive),
 - a picture of this very point taken after its last pass, whose upper bound of completion is below the threshold,
 - a spindle load above idle at its last biting pass (the contact itself stands for the first bites),
-- depth within the thickness prior and near that of finished neighbours.
+- depth within the thickness prior and near that of its neighbours.
 
 One cue that says "through" stops the point. A load that droops once, under a picture of bone, is a doubt: the next bite
 is a small one, and a second droop stops. Past the low end of the thickness prior the load must be whole: above idle is
@@ -38,10 +38,11 @@ class Limits:
         doubtful_bite_mm: the bite that settles a doubt.
         droop: a load below this share of what bone takes means "through".
         whole: past the low end of the prior, and after a doubt, the load must reach this share.
-        neighbour_mm: how much deeper than a finished neighbour a point may go.
+        neighbour_mm: how much deeper than its shallower neighbour a point may go.
         reopen_mm: what one look with the drill lifted may give back to a stopped point, beyond what its best
             estimate of completion leaves.
         most_reopen_mm: the bound on both together.
+        agrees: the best estimate of completion that does not contradict a load that says "through".
         looks: how often a point may be re-opened.
     """
 
@@ -56,10 +57,11 @@ class Limits:
     doubtful_bite_mm: float = 0.005
     droop: float = 0.8
     whole: float = 0.85
-    neighbour_mm: float = 0.08
+    neighbour_mm: float = 0.05
     reopen_mm: float = 0.03
     most_reopen_mm: float = 0.06
-    looks: int = 2
+    agrees: float = 0.9
+    looks: int = 4
 
 
 class PointState(StrEnum):
@@ -128,12 +130,12 @@ class Ledger:
         point.seen_at_s = exposed_at_s
         point.upper = upper
         point.completion = max(point.completion, completion) if point.picture_through else completion
-        point.frames_through = point.frames_through + 1 if upper >= self.limits.threshold else 0
+        # A re-opened point has its bound from a better look than this one: only a hole that is seen stops it.
+        says = upper if point.allowance_mm is None else completion
+        point.frames_through = point.frames_through + 1 if says >= self.limits.threshold else 0
         if point.frames_through >= 2 and not point.picture_through:
             point.picture_through = True
-            if point.allowance_mm is None:
-                # A re-opened point has its bound from a better look than this one.
-                self._stop(point, "the picture says through")
+            self._stop(point, "the picture says through")
 
     def felt(self, index: int, *, ratio: float | None, above_idle: bool) -> None:
         """The spindle load of a pass that took a bite here.
@@ -208,8 +210,8 @@ class Ledger:
         if point.state is PointState.DONE:
             return point.state
         through = point.upper is not None and point.upper >= limits.threshold
-        # A load that vanishes in thick bone under a picture of bone speaks against the contact, not for a hole.
-        plausible = point.cut_mm >= limits.thickness_low_mm / 2 or point.completion >= 0.5
+        # A load that vanishes under a picture of thick bone speaks of a ridge beside it, or of the contact, not of a hole.
+        plausible = point.completion >= limits.agrees
         if through and point.load_through:
             self._finish(point, "picture and load agree: through")
         elif point.load_through and point.looks > 0 and plausible:
@@ -217,17 +219,18 @@ class Ledger:
         elif through and point.looks > 0 and point.completion >= limits.threshold:
             self._finish(point, "the picture says through, bound and best estimate")
         elif point.looks >= limits.looks:
-            if point.picture_through or (point.load_through and plausible):
+            if through or (point.load_through and plausible):
                 self._finish(point, "one cue says through after every look")
             else:
                 self._stop(point, "no cue says through after every look")
         elif point.state is PointState.STOPPED:
             point.looks += 1
             point.allowance_mm = min(point.cut_mm + self._return_mm(point), limits.thickness_high_mm)
+            stopped_by_load = point.load_through
             point.picture_through = point.load_through = False
             point.frames_through = 0
-            # The load that stopped the point is what the next bite has to prove wrong.
-            point.load_above_idle, point.load_ratio, point.doubt = True, None, False
+            # What stopped the point is what the next bites have to prove wrong; where it was the load, small ones.
+            point.load_above_idle, point.doubt = True, stopped_by_load
             point.state, point.why = PointState.OPEN, "re-opened after a look"
         return point.state
 
@@ -287,15 +290,15 @@ class Ledger:
             return self._stop(point, "the allowance of the last look is used up")
         if depth > limits.thickness_high_mm:
             return self._stop(point, "the high end of the thickness prior is reached")
-        neighbour = self._finished_neighbour_mm(index)
-        if not reopened and neighbour is not None and depth > neighbour + limits.neighbour_mm:
+        if depth > limits.thickness_low_mm and point.load_ratio is None and not reopened:
+            return self._stop(point, "past the low end of the thickness prior, and its load is not known")
+        if depth > self._shallower_neighbour_mm(index) + limits.neighbour_mm:
             return no("waits for its neighbours")
         return Grant(depth, True, "bone")
 
     def _bite_limit(self, point: Point) -> float:
         limits = self.limits
-        unknown = point.load_ratio is None and point.cut_mm + limits.late_bite_mm > limits.thickness_low_mm
-        if point.doubt or (unknown and point.allowance_mm is None):
+        if point.doubt:
             return limits.doubtful_bite_mm
         late = point.cut_mm + limits.bite_mm > limits.thickness_low_mm - limits.late_margin_mm
         if point.upper is not None:
@@ -305,14 +308,18 @@ class Ledger:
 
     def _return_mm(self, point: Point) -> float:
         """What a look gives back: the picture's best estimate of the bone left, and a little."""
+        if point.load_ratio is None:
+            return self.limits.reopen_mm
         left_mm = point.cut_mm * (1.0 - point.completion) / max(point.completion, 0.1)
         return min(left_mm + self.limits.reopen_mm, self.limits.most_reopen_mm)
 
-    def _finished_neighbour_mm(self, index: int) -> float | None:
+    def _shallower_neighbour_mm(self, index: int) -> float:
+        """Bone does not change its thickness from one point to the next, so depths that part tell of a wrong cue.
+
+        And a ball that digs beside a ridge cuts into its flank: the load there says nothing about the bone below.
+        """
         n = len(self.points)
-        near = [self.points[(index + step) % n] for step in (-2, -1, 1, 2)]
-        depths = [point.cut_mm for point in near if point.state is PointState.DONE or point.load_through]
-        return max(depths) if depths else None
+        return min(self.points[(index - 1) % n].cut_mm, self.points[(index + 1) % n].cut_mm)
 
     @staticmethod
     def _stop(point: Point, why: str) -> Grant:
