@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 
 SCRATCH_CELLS = 40_000
+_NO_BONE_MM = 1e-4
 
 
 def new_scratch() -> tuple[Any, Any, Any]:
@@ -21,6 +22,7 @@ def new_scratch() -> tuple[Any, Any, Any]:
 @njit(cache=True, nogil=True)
 def mill_step(
     top: Any,
+    inner: Any,
     membrane: Any,
     x0: float,
     y0: float,
@@ -33,7 +35,7 @@ def mill_step(
     overlap: Any,
     upward: Any,
 ) -> tuple[float, float, float, int, int, int, int, int, int]:
-    """One instant of a ball centred at ``ball``; lowers ``top`` by what it removes.
+    """One instant of a ball centred at ``ball``; lowers ``top`` by what it removes. There is no bone below ``inner``.
 
     The skull gives way by a deflection d. Bone is removed in proportion to the force that presses on it:
     ``volume * upward share = capacity * stiffness * d``, with ``capacity`` in mm^3 per N (0: the ball only pushes).
@@ -68,7 +70,7 @@ def mill_step(
                     below_i = i
                     below_j = j
             gap = bz - top[i, j]
-            if (gap < 0.0 or gap * gap < room) and count < cells.shape[0]:
+            if top[i, j] > inner[i, j] + _NO_BONE_MM and (gap < 0.0 or gap * gap < room) and count < cells.shape[0]:
                 height = math.sqrt(room)
                 cells[count, 0] = i
                 cells[count, 1] = j
@@ -88,7 +90,8 @@ def mill_step(
         cut = 0.0
         for n in range(count):
             if overlap[n] > middle:
-                cut += (overlap[n] - middle) * upward[n]
+                left = top[cells[n, 0], cells[n, 1]] - inner[cells[n, 0], cells[n, 1]]
+                cut += min(overlap[n] - middle, left) * upward[n]
         if cut * area > capacity * stiffness * middle:
             low = middle
         else:
@@ -97,9 +100,9 @@ def mill_step(
     volume = 0.0
     ci0, ci1, cj0, cj1 = top.shape[0], 0, top.shape[1], 0
     for n in range(count):
-        gone = overlap[n] - deflection
+        i, j = cells[n, 0], cells[n, 1]
+        gone = min(overlap[n] - deflection, top[i, j] - inner[i, j])
         if gone > 0.0:
-            i, j = cells[n, 0], cells[n, 1]
             top[i, j] -= gone
             volume += gone * area
             ci0, ci1 = min(ci0, i), max(ci1, i + 1)

@@ -333,8 +333,8 @@ class Machine:
         x, y, z = (a + b for a, b in zip(self._tip, self._ball_offset, strict=True))
         ball = (x, y, z)
         deflection, volume, below, i, j, *changed = mill_step(
-            skull.top_z, skull.membrane_z, grid.x0_mm, grid.y0_mm, grid.step_mm, ball, radius, stiffness, capacity,
-            *self._scratch,
+            skull.top_z, skull.inner_z, skull.membrane_z, grid.x0_mm, grid.y0_mm, grid.step_mm, ball, radius,
+            stiffness, capacity, *self._scratch,
         )  # fmt: skip
         self.deflection_mm = deflection
         self.force_n = stiffness * deflection

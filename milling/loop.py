@@ -250,7 +250,7 @@ class _Run:
             if not ledger.open_points:
                 stuck = [i for i, point in enumerate(ledger.points) if point.state is PointState.STOPPED]
                 names = ", ".join(f"{i + 1} ({ledger.points[i].why})" for i in stuck)
-                return "held", f"no cue says that these points are through, and no look may re-open them: {names}"
+                return "held", f"the cues disagree on these points, and no look may re-open them: {names}"
 
     def _look(self, ring: _Ring, ledger: Ledger) -> None:
         """Judge every point again with nothing in front of it."""

@@ -44,6 +44,7 @@ class Limits:
         most_reopen_mm: the bound on both together.
         agrees: the best estimate of completion that does not contradict a load that says "through".
         looks: how often a point may be re-opened.
+        load_looks: how often against a load that says "through".
     """
 
     bite_mm: float = 0.05
@@ -62,6 +63,7 @@ class Limits:
     most_reopen_mm: float = 0.06
     agrees: float = 0.9
     looks: int = 4
+    load_looks: int = 1
 
 
 class PointState(StrEnum):
@@ -103,6 +105,7 @@ class Point:
     state: PointState = PointState.OPEN
     why: str = "no contact yet"
     looks: int = 0
+    load_looks: int = 0
     allowance_mm: float | None = None
     """While re-opened: the depth that the last look allows."""
     verdicts: Counter[str] = field(default_factory=Counter)
@@ -218,6 +221,8 @@ class Ledger:
             self._finish(point, "the load said through twice")
         elif through and point.looks > 0 and point.completion >= limits.threshold:
             self._finish(point, "the picture says through, bound and best estimate")
+        elif point.load_through and point.load_looks >= limits.load_looks:
+            self._stop(point, "the load says through and the picture does not, also after a look")
         elif point.looks >= limits.looks:
             if through or (point.load_through and plausible):
                 self._finish(point, "one cue says through after every look")
@@ -225,6 +230,7 @@ class Ledger:
                 self._stop(point, "no cue says through after every look")
         elif point.state is PointState.STOPPED:
             point.looks += 1
+            point.load_looks += point.load_through
             point.allowance_mm = min(point.cut_mm + self._return_mm(point), limits.thickness_high_mm)
             stopped_by_load = point.load_through
             point.picture_through = point.load_through = False
@@ -307,7 +313,12 @@ class Ledger:
         return limits.late_bite_mm if late or point.allowance_mm is not None else limits.bite_mm
 
     def _return_mm(self, point: Point) -> float:
-        """What a look gives back: the picture's best estimate of the bone left, and a little."""
+        """What a look gives back: the picture's best estimate of the bone left, and a little.
+
+        Against the load it gives back two small bites: the first after a pause tells nothing, the second settles it.
+        """
+        if point.load_through:
+            return 2 * self.limits.doubtful_bite_mm
         if point.load_ratio is None:
             return self.limits.reopen_mm
         left_mm = point.cut_mm * (1.0 - point.completion) / max(point.completion, 0.1)
