@@ -213,7 +213,7 @@ class Ledger:
         if point.state is PointState.DONE:
             return point.state
         through = point.upper is not None and point.upper >= limits.threshold
-        # A load that vanishes under a picture of thick bone speaks of a ridge beside it, or of the contact, not of a hole.
+        # A load that vanishes under a picture of thick bone speaks of the contact or of a ridge beside it, not of holes
         plausible = point.completion >= limits.agrees
         if through and point.load_through:
             self._finish(point, "picture and load agree: through")

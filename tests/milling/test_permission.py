@@ -11,7 +11,8 @@ import milling.permission
 from drivers.errors import ConnectionLostError, SafetyStop
 from milling.permission import Latch, Ledger, Limits, PointState, Reaction, reaction_to
 
-LIMITS = Limits()
+LIMITS = Limits(neighbour_mm=9.0)
+"""These tests dig at one point of a ring; the neighbours' rule has a test of its own."""
 
 
 def touched(n: int = 8, limits: Limits = LIMITS) -> Ledger:
@@ -176,23 +177,24 @@ def test_late_bites_are_small() -> None:
 
 
 def test_the_high_end_of_the_prior_is_never_passed() -> None:
-    ledger = touched(limits=Limits(neighbour_mm=9.0))
+    ledger = touched()
     dig(ledger, 0, 9.0)
     assert ledger.points[0].state is PointState.STOPPED
     assert 0.58 < ledger.cut_mm(0) <= LIMITS.thickness_high_mm
 
 
-def test_a_point_waits_for_its_finished_neighbours() -> None:
-    ledger = touched()
-    dig(ledger, 1, 0.2)
-    for at_s in (1e3, 1e3 + 1):
-        ledger.seen(1, completion=1.0, upper=1.0, exposed_at_s=at_s)
-    ledger.points[1].load_through = True
+def test_a_point_waits_for_its_shallower_neighbour_also_when_it_is_reopened() -> None:
+    ledger = touched(limits=Limits())
     now_s = 1.0
     for _ in range(40):
         visit(ledger, 0, now_s)
+        visit(ledger, 1, now_s)
         now_s += 3.0
-    assert ledger.cut_mm(0) <= ledger.cut_mm(1) + LIMITS.neighbour_mm
+    assert 0.03 < ledger.cut_mm(0) <= Limits().neighbour_mm, "the neighbour on the other side is untouched"
+    ledger.stall()
+    ledger.look(0)
+    visit(ledger, 0, now_s)
+    assert ledger.cut_mm(0) <= Limits().neighbour_mm
 
 
 def test_deeper_than_permitted_is_a_safety_stop() -> None:
