@@ -22,6 +22,8 @@ FLAP_SOFTENING = 1.0
 """How much more it gives way once the flap is free all round."""
 _HISTORY = 8
 _OWN = 4
+_STRANGERS_SHARE = 0.8
+"""Points differ by slope and neighbours: what bone took elsewhere is only expected here with this discount."""
 _CRAWL = 0.5
 _STEADY = 0.15
 """What the time stamps of two position reports make of a steady feed."""
@@ -142,9 +144,10 @@ class LoadMeter:
     def _reference(self, index: int) -> float | None:
         """What bone took here so far, or all round while that is too little; None while that is too little as well."""
         own = self._sound[index]
+        share = 1.0
         if len(own) < _OWN:
-            own = deque(gain for gains in self._sound for gain in gains)
-        reference = median(own) if len(own) >= _OWN else 0.0
+            own, share = deque(gain for gains in self._sound for gain in gains), _STRANGERS_SHARE
+        reference = share * median(own) if len(own) >= _OWN else 0.0
         return reference if reference > 0 else None
 
 

@@ -36,6 +36,8 @@ class Limits:
         entry_mm: how deep the contact alone is evidence of bone: its own uncertainty, run-out included.
         frame_age_s: the oldest newest frame.
         doubtful_bite_mm: the bite that settles a doubt.
+        newest: the weight of the newest pass in a point's load.
+        prior_slack_mm: how far above the low end of the thickness prior a droop of the load is first believed.
         droop: a load below this share of what bone takes means "through".
         whole: past the low end of the prior, and after a doubt, the load must reach this share.
         neighbour_mm: how much deeper than its shallower neighbour a point may go.
@@ -44,7 +46,6 @@ class Limits:
         most_reopen_mm: the bound on both together.
         agrees: the best estimate of completion that does not contradict a load that says "through".
         looks: how often a point may be re-opened.
-        load_looks: how often against a load that says "through".
     """
 
     bite_mm: float = 0.05
@@ -56,14 +57,15 @@ class Limits:
     entry_mm: float = 0.03
     frame_age_s: float = 0.1
     doubtful_bite_mm: float = 0.005
-    droop: float = 0.8
-    whole: float = 0.85
+    newest: float = 0.4
+    prior_slack_mm: float = 0.05
+    droop: float = 0.75
+    whole: float = 0.8
     neighbour_mm: float = 0.05
     reopen_mm: float = 0.03
     most_reopen_mm: float = 0.06
     agrees: float = 0.9
     looks: int = 4
-    load_looks: int = 1
 
 
 class PointState(StrEnum):
@@ -105,7 +107,6 @@ class Point:
     state: PointState = PointState.OPEN
     why: str = "no contact yet"
     looks: int = 0
-    load_looks: int = 0
     allowance_mm: float | None = None
     """While re-opened: the depth that the last look allows."""
     verdicts: Counter[str] = field(default_factory=Counter)
@@ -150,15 +151,17 @@ class Ledger:
         """
         point = self.points[index]
         if ratio is not None:
-            point.load_ratio = ratio
+            # One pass is some eight reports: its ratio spreads by a fifth. Several passes together tell bone from a hole.
+            before = 1.0 if point.load_ratio is None else point.load_ratio
+            point.load_ratio = before + self.limits.newest * (ratio - before)
         point.load_above_idle = above_idle or point.cut_mm <= self.limits.entry_mm
         picture_of_bone = point.upper is not None and point.upper < self.limits.threshold
         if not point.load_above_idle:
             point.load_through = True
             self._stop(point, "the load says through")
-        elif ratio is not None:
+        elif point.load_ratio is not None and point.cut_mm > self.limits.thickness_low_mm - self.limits.prior_slack_mm:
             late = point.doubt or point.cut_mm > self.limits.thickness_low_mm
-            if ratio >= (self.limits.whole if late else self.limits.droop):
+            if point.load_ratio >= (self.limits.whole if late else self.limits.droop):
                 point.doubt = False
                 if picture_of_bone:
                     # Both cues refute what stopped the point, if it was stopped.
@@ -221,8 +224,6 @@ class Ledger:
             self._finish(point, "the load said through twice")
         elif through and point.looks > 0 and point.completion >= limits.threshold:
             self._finish(point, "the picture says through, bound and best estimate")
-        elif point.load_through and point.load_looks >= limits.load_looks:
-            self._stop(point, "the load says through and the picture does not, also after a look")
         elif point.looks >= limits.looks:
             if through or (point.load_through and plausible):
                 self._finish(point, "one cue says through after every look")
@@ -230,13 +231,12 @@ class Ledger:
                 self._stop(point, "no cue says through after every look")
         elif point.state is PointState.STOPPED:
             point.looks += 1
-            point.load_looks += point.load_through
             point.allowance_mm = min(point.cut_mm + self._return_mm(point), limits.thickness_high_mm)
             stopped_by_load = point.load_through
             point.picture_through = point.load_through = False
             point.frames_through = 0
             # What stopped the point is what the next bites have to prove wrong; where it was the load, small ones.
-            point.load_above_idle, point.doubt = True, stopped_by_load
+            point.load_above_idle, point.load_ratio, point.doubt = True, None, stopped_by_load
             point.state, point.why = PointState.OPEN, "re-opened after a look"
         return point.state
 
@@ -315,11 +315,9 @@ class Ledger:
     def _return_mm(self, point: Point) -> float:
         """What a look gives back: the picture's best estimate of the bone left, and a little.
 
-        Against the load it gives back two small bites: the first after a pause tells nothing, the second settles it.
+        Against the load it gives back only that little: bites enough to tell bone from a hole.
         """
         if point.load_through:
-            return 2 * self.limits.doubtful_bite_mm
-        if point.load_ratio is None:
             return self.limits.reopen_mm
         left_mm = point.cut_mm * (1.0 - point.completion) / max(point.completion, 0.1)
         return min(left_mm + self.limits.reopen_mm, self.limits.most_reopen_mm)
