@@ -151,7 +151,7 @@ class Ledger:
         """
         point = self.points[index]
         if ratio is not None:
-            # One pass is some eight reports: its ratio spreads by a fifth. Several passes together tell bone from a hole.
+            # One pass is some eight reports, its ratio spreads by a fifth: only several passes tell bone from a hole.
             before = 1.0 if point.load_ratio is None else point.load_ratio
             point.load_ratio = before + self.limits.newest * (ratio - before)
         point.load_above_idle = above_idle or point.cut_mm <= self.limits.entry_mm

@@ -129,32 +129,63 @@ def test_contact_alone_is_evidence_for_the_entry_only() -> None:
     assert max(depths) <= LIMITS.entry_mm + 0.013
 
 
-def test_one_droop_under_a_picture_of_bone_is_a_doubt_the_second_stops() -> None:
+BELOW_THE_PRIOR_MM = LIMITS.thickness_low_mm - LIMITS.prior_slack_mm - 0.05
+LATE_MM = LIMITS.thickness_low_mm - LIMITS.prior_slack_mm + 0.02
+
+
+def test_a_droop_where_no_skull_is_thin_enough_stops_nothing() -> None:
     ledger = touched()
-    now_s = dig(ledger, 0, 0.15)
-    before = ledger.cut_mm(0)
+    dig(ledger, 0, BELOW_THE_PRIOR_MM)
+    for _ in range(4):
+        ledger.felt(0, ratio=0.2, above_idle=True)
+    assert ledger.points[0].state is PointState.OPEN
+    assert not ledger.points[0].doubt
+
+
+def test_a_load_that_is_gone_stops_at_any_depth() -> None:
+    ledger = touched()
+    dig(ledger, 0, BELOW_THE_PRIOR_MM)
+    ledger.felt(0, ratio=0.0, above_idle=False)
+    assert ledger.points[0].state is PointState.STOPPED
+
+
+def test_one_noisy_pass_is_no_droop() -> None:
+    ledger = touched()
+    dig(ledger, 0, LATE_MM)
     ledger.felt(0, ratio=0.5, above_idle=True)
+    assert not ledger.points[0].doubt
+
+
+def test_a_droop_under_a_picture_of_bone_is_a_doubt_and_the_next_pass_stops() -> None:
+    ledger = touched()
+    now_s = dig(ledger, 0, LATE_MM)
+    before = ledger.cut_mm(0)
+    ledger.felt(0, ratio=0.2, above_idle=True)
     assert ledger.points[0].state is PointState.OPEN
     small = ledger.ask(0, bite_mm=0.013, now_s=now_s, frame_at_s=now_s)
     assert small.depth_mm - before <= LIMITS.doubtful_bite_mm + 1e-9
     ledger.passed(0, depth_mm=small.depth_mm, now_s=now_s + 0.1)
-    ledger.felt(0, ratio=0.8, above_idle=True)
+    ledger.felt(0, ratio=0.2, above_idle=True)
     assert ledger.points[0].state is PointState.STOPPED
 
 
 def test_a_whole_load_settles_the_doubt() -> None:
     ledger = touched()
-    dig(ledger, 0, 0.15)
-    ledger.felt(0, ratio=0.5, above_idle=True)
-    ledger.felt(0, ratio=1.0, above_idle=True)
+    dig(ledger, 0, LATE_MM)
+    ledger.felt(0, ratio=0.2, above_idle=True)
+    assert ledger.points[0].doubt
+    for _ in range(3):
+        ledger.felt(0, ratio=1.1, above_idle=True)
+        if not ledger.points[0].doubt:
+            break
     assert not ledger.points[0].doubt
 
 
 def test_a_droop_and_a_picture_of_a_hole_stop_at_once() -> None:
     ledger = touched()
-    dig(ledger, 0, 0.15)
+    dig(ledger, 0, LATE_MM)
     ledger.seen(0, completion=0.98, upper=1.0, exposed_at_s=1e3)
-    ledger.felt(0, ratio=0.5, above_idle=True)
+    ledger.felt(0, ratio=0.2, above_idle=True)
     assert ledger.points[0].load_through
 
 
