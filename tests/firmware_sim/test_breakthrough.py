@@ -41,10 +41,10 @@ def _ring() -> np.ndarray:
 
 
 def test_the_load_droops_within_a_bite_or_two_and_the_sides_go_on_cutting() -> None:
-    depths = [0.3 + BITE_MM * step for step in range(-6, 6)]
-    loads = load_of_laps(depths)
-    whole = np.median(loads[3:6])
-    past = dict(zip(range(-6, 6), loads, strict=True))
-    assert 0.95 * whole < past[0] < 1.1 * whole
-    assert past[1] < 0.9 * whole
-    assert 0.2 * whole < past[4] < 0.65 * whole
+    steps = range(-14, 7)
+    load = dict(zip(steps, load_of_laps([0.3 + BITE_MM * step for step in steps]), strict=True))
+    whole = np.median([load[step] for step in range(-9, -3)])
+    # The bone gives way under the ball, so the middle of the chord goes a bite or two after the commanded depth.
+    assert load[0] > 0.9 * whole
+    assert load[4] < 0.8 * whole
+    assert 0.2 * whole < load[6] < 0.7 * whole

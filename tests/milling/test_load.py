@@ -45,7 +45,9 @@ def test_bone_reads_as_one() -> None:
     bites = [0.013] * 25
     ratios = [ratio for ratio in passes(meter(), sprung(bites, 0.6), bites) if ratio is not None]
     assert len(ratios) > 12
-    assert all(0.95 < ratio < 1.05 for ratio in ratios)
+    # Before a point knows its own bone, what was felt elsewhere is expected at a discount.
+    assert all(0.95 < ratio < 1.3 for ratio in ratios[:4])
+    assert all(0.95 < ratio < 1.05 for ratio in ratios[4:])
 
 
 def test_one_bite_past_the_inner_surface_droops_by_a_quarter() -> None:
