@@ -19,6 +19,9 @@ CROP_PX = 160
 CELL_PX = 2.0
 MISSING = 128
 """Grey that stands for a reference picture that does not exist."""
+DRILL_NOT_EXCLUDED = 0.12
+"""Probability of the drill from which a point counts as hidden. A point that waits for a better picture costs a frame;
+a reading of the drill's own surface could cost more. Chosen on validation data."""
 HOLE_NOT_EXCLUDED = 0.2
 """Probability of a hole from which the upper bound is 1, whatever else the network says."""
 HOLE_SEEN = 0.5
@@ -90,7 +93,7 @@ class CompletionReader:
         return CompletionReading(
             completion=completion,
             upper=upper,
-            visible=inside & (drill < 0.0),
+            visible=inside & (probability(drill) < DRILL_NOT_EXCLUDED),
             box_px=_box(maps[2] > 0.0, image_from_heat),
             heat_map=np.where(maps[2] > 0.0, maps[0], 0.0).astype(np.float32),
             image_from_heat=image_from_heat,

@@ -16,6 +16,7 @@ from torch.nn import functional
 
 from vision.completion import (
     CROP_PX,
+    DRILL_NOT_EXCLUDED,
     HOLE_NOT_EXCLUDED,
     MISSING,
     THROUGH,
@@ -119,6 +120,7 @@ class CompletionTask:
         read = self._read(network, data)
         seen = ~read["hidden"].astype(bool)
         margin = network.constants.get("upper_margin", 0.0)
+        covered = probability(read["drill"]) >= DRILL_NOT_EXCLUDED
         truth, estimate = read["truth"][seen], read["completion"][seen]
         estimate, upper = bounded(estimate, read["upper"][seen] + margin, read["through"][seen])
         hole, bone, begun = truth >= 0.999, truth <= 0.85, truth >= 0.05
@@ -129,8 +131,8 @@ class CompletionTask:
             "bite_permitted_up_to_0.85": float(np.mean(upper[bone] < THROUGH)),
             "penetration_recall": float(np.mean(upper[hole] >= THROUGH)),
             "penetration_false_alarm": float(np.mean(estimate[bone] >= THROUGH)),
-            "hidden_recall": float(np.mean(read["drill"][read["hidden"]] > 0)) if read["hidden"].any() else 1.0,
-            "hidden_false_alarm": float(np.mean(read["drill"][seen] > 0)),
+            "hidden_recall": float(np.mean(covered[~seen])) if (~seen).any() else 1.0,
+            "hidden_false_alarm": float(np.mean(covered[seen])),
             "kerf_iou": float(np.mean(read["iou"])),
             "rings": float(len(data["crops"])),
         }

@@ -48,7 +48,7 @@ def test_no_tip_is_invented_where_there_is_none():
 def test_bregma_and_lambda_are_found():
     found = figures("landmarks", unseen(landmark_samples, 6))
     for name in ("bregma", "lambda"):
-        assert found[f"{name}_median_px"] < 1.5
+        assert found[f"{name}_median_px"] < 2.5
         assert found[f"{name}_missed"] < 0.1
 
 
