@@ -107,6 +107,7 @@ class Point:
     state: PointState = PointState.OPEN
     why: str = "no contact yet"
     looks: int = 0
+    looked_at_mm: float = -1.0
     allowance_mm: float | None = None
     """While re-opened: the depth that the last look allows."""
     verdicts: Counter[str] = field(default_factory=Counter)
@@ -230,7 +231,9 @@ class Ledger:
             else:
                 self._stop(point, "no cue says through after every look")
         elif point.state is PointState.STOPPED:
-            point.looks += 1
+            # A look that followed no bite (its neighbours kept the point waiting) told nothing new.
+            point.looks += point.cut_mm > point.looked_at_mm
+            point.looked_at_mm = point.cut_mm
             point.allowance_mm = min(point.cut_mm + self._return_mm(point), limits.thickness_high_mm)
             stopped_by_load = point.load_through
             point.picture_through = point.load_through = False
