@@ -1,0 +1,128 @@
+"""Contact on a bone that is a formula: where it is found, by how much it overruns, and what is refused."""
+
+import numpy as np
+import pytest
+
+from drivers.clock import Clock
+from drivers.errors import PlanError, SafetyStop
+from drivers.motion.interface import MotionController, MotionState, MotionStatus, Travel, Vector
+from drivers.recorder import NullRecorder
+from drivers.spindle.interface import Spindle, SpindleStatus
+from firmware_sim.clock import SimClock
+from milling.contact import STEP_MM, ContactFinder, measure_idle
+from milling.hands import Hands
+from milling.load import Idle
+
+RPM = 50_000.0
+
+
+class Stage(MotionController):
+    """Arrives at once, in as much time as the way takes."""
+
+    identity = "formula"
+    dead_time_s = 0.0
+    travel = Travel((-50.0, -50.0, -50.0), (50.0, 50.0, 50.0))
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.tip: Vector = (0.0, 0.0, 5.0)
+        self.moved_from, self.moved_s = self.tip, 1.0
+
+    def start_move(self, target_mm: Vector, *, feed_mm_per_s: float) -> None:
+        self.moved_from, self.tip = self.tip, target_mm
+        self.moved_s = max(float(np.linalg.norm(np.subtract(target_mm, self.moved_from))) / feed_mm_per_s, 1e-3)
+
+    def status(self) -> MotionStatus:
+        return MotionStatus(MotionState.IDLE, self.tip, 0.0, self.clock.now_s())
+
+    def wait_until_idle(self, timeout_s: float) -> MotionStatus:
+        return self.status()
+
+    def flush(self, timeout_s: float = 1.0) -> MotionStatus:
+        return self.status()
+
+    def home(self) -> None: ...
+    def hold(self) -> None: ...
+    def resume(self) -> None: ...
+    def halt(self) -> None: ...
+    def set_floor(self, z_mm: float | None) -> None: ...
+    def close(self) -> None: ...
+
+
+class Drill(Spindle):
+    """Feels the speed at which it goes down into bone whose height is a formula."""
+
+    identity = "formula"
+    heartbeat_s = 0.25
+
+    def __init__(self, stage: Stage, bone_z: float, *, noise: float = 0.01) -> None:
+        self.stage, self.bone_z, self.noise = stage, bone_z, noise
+        self.rng = np.random.default_rng(1)
+        self.deepest = float("inf")
+
+    def status(self) -> SpindleStatus:
+        self.stage.clock.sleep_s(0.005)
+        z = self.stage.tip[2]
+        height = self.bone_z + 0.1 * self.stage.tip[0]
+        going_down = self.stage.moved_from[2] > z
+        load = 0.05 if going_down and z < height else 0.0
+        self.deepest = min(self.deepest, z - height)
+        return SpindleStatus(RPM, 0.08 + load + self.noise * self.rng.normal() / 4, None, self.stage.clock.now_s())
+
+    def start(self, speed_rpm: float) -> None: ...
+    def stop(self) -> None: ...
+    def wait_until_at_speed(self, timeout_s: float) -> SpindleStatus:
+        return self.status()
+
+    def close(self) -> None: ...
+
+
+def finder(bone_z: float, *, floor: float = -3.0) -> tuple[ContactFinder, Drill]:
+    clock = SimClock()
+    stage = Stage(clock)
+    drill = Drill(stage, bone_z)
+    hands = Hands(stage, drill, clock, NullRecorder(), lambda: False, speed_rpm=RPM)
+    return ContactFinder(hands, Idle(0.08, 0.0025), floor), drill
+
+
+XY = [(0.3 * k, 0.0) for k in range(6)]
+BONE = [0.1 * x for x, _ in XY]
+
+
+@pytest.mark.parametrize("error", [-0.3, -0.1, 0.0, 0.2, 0.4])
+def test_contact_is_found_within_a_step_whatever_the_surface_is_off_by(error: float) -> None:
+    search, drill = finder(0.0)
+    predicted = [z - error for z in BONE]
+    found = search.find_all(XY, [z + 0.5 for z in predicted], predicted, lambda *_: None)
+    np.testing.assert_allclose(found, BONE, atol=STEP_MM)
+    assert drill.deepest > -2 * STEP_MM - 1e-9
+
+
+def test_what_the_first_points_teach_makes_the_later_ones_quick() -> None:
+    search, _ = finder(0.0)
+    clock, times = search.hands.clock, []
+    predicted = [z + 0.3 for z in BONE]
+    search.find_all(XY, [z + 0.5 for z in predicted], predicted, lambda *_: times.append(clock.now_s()))
+    took = np.diff([0.0, *times])
+    assert took[1:].max() < 0.4 * took[0]
+
+
+def test_no_bone_down_to_the_floor_is_refused() -> None:
+    search, drill = finder(-9.0, floor=-0.2)
+    with pytest.raises(PlanError, match=r"point 1.*no bone felt"):
+        search.find_all(XY, [0.5] * 6, [0.0] * 6, lambda *_: None)
+    assert search.hands.motion.status().position_mm[2] >= -0.2
+
+
+def test_bone_where_the_surface_promises_air_is_refused() -> None:
+    search, _ = finder(0.7)
+    with pytest.raises(PlanError, match=r"point 1.*bone at or above"):
+        search.find_all(XY, [0.5] * 6, [0.0] * 6, lambda *_: None)
+
+
+def test_an_idle_torque_that_wanders_is_no_baseline() -> None:
+    search, drill = finder(-9.0)
+    assert measure_idle(search.hands).mean == pytest.approx(0.08, abs=0.005)
+    drill.noise = 2.0
+    with pytest.raises(SafetyStop, match="cannot be felt"):
+        measure_idle(search.hands)
