@@ -108,7 +108,7 @@ def test_what_the_first_points_teach_makes_the_later_ones_quick() -> None:
 
 
 def test_no_bone_down_to_the_floor_is_refused() -> None:
-    search, drill = finder(-9.0, floor=-0.2)
+    search, _ = finder(-9.0, floor=-0.2)
     with pytest.raises(PlanError, match=r"point 1.*no bone felt"):
         search.find_all(XY, [0.5] * 6, [0.0] * 6, lambda *_: None)
     assert search.hands.motion.status().position_mm[2] >= -0.2
