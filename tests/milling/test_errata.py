@@ -43,7 +43,7 @@ def test_erratum_9_there_is_a_depth_limit_under_a_picture_that_never_says_done()
         ledger.look(0)
         now_s += 3.0
     assert ledger.cut_mm(0) <= Limits().thickness_high_mm
-    assert ledger.points[0].state is not PointState.OPEN
+    assert not ledger.ask(0, bite_mm=0.05, now_s=now_s, frame_at_s=now_s).deeper
 
 
 def test_erratum_9_there_is_a_rule_for_disagreement() -> None:
