@@ -225,6 +225,8 @@ class Ledger:
             self._finish(point, "the load said through twice")
         elif through and point.looks > 0 and point.completion >= limits.threshold:
             self._finish(point, "the picture says through, bound and best estimate")
+        elif point.looks > 0 and plausible and self._below_finished_neighbours(index):
+            self._finish(point, "deeper than its finished neighbours, and the picture agrees")
         elif point.looks >= limits.looks:
             if through or (point.load_through and plausible):
                 self._finish(point, "one cue says through after every look")
@@ -332,6 +334,15 @@ class Ledger:
         """
         n = len(self.points)
         return min(self.points[(index - 1) % n].cut_mm, self.points[(index + 1) % n].cut_mm)
+
+    def _below_finished_neighbours(self, index: int) -> bool:
+        """Whether both neighbours are through and the point is so much deeper that they would keep it waiting."""
+        n = len(self.points)
+        near = (self.points[(index - 1) % n], self.points[(index + 1) % n])
+        depth = self.points[index].cut_mm + self.limits.late_bite_mm
+        return all(point.state is PointState.DONE for point in near) and (
+            depth > self._shallower_neighbour_mm(index) + self.limits.neighbour_mm
+        )
 
     @staticmethod
     def _stop(point: Point, why: str) -> Grant:

@@ -228,6 +228,17 @@ def test_a_point_waits_for_its_shallower_neighbour_also_when_it_is_reopened() ->
     assert ledger.cut_mm(0) <= Limits().neighbour_mm
 
 
+def test_a_point_below_finished_neighbours_is_through_where_the_picture_agrees() -> None:
+    for completion, expected in ((0.95, PointState.DONE), (0.5, PointState.OPEN)):
+        ledger = touched(n=3, limits=Limits(neighbour_mm=0.05))
+        ledger.points[0].cut_mm, ledger.points[2].cut_mm = 0.3, 0.28
+        ledger.points[0].state = ledger.points[2].state = PointState.DONE
+        point = ledger.points[1]
+        point.cut_mm, point.state, point.looks = 0.32, PointState.STOPPED, 1
+        ledger.seen(1, completion=completion, upper=0.99, exposed_at_s=1e3)
+        assert ledger.look(1) is expected
+
+
 def test_deeper_than_permitted_is_a_safety_stop() -> None:
     ledger = touched()
     grant = ledger.ask(0, bite_mm=0.01, now_s=1.0, frame_at_s=1.0)
