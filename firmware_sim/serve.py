@@ -24,8 +24,11 @@ import cv2
 from drivers.camera.interface import Image
 from drivers.clock import Clock, SystemClock
 from firmware_sim.bench import Bench
+from firmware_sim.machine import Machine
+from firmware_sim.microscope import Microscope
 from firmware_sim.mjpeg_camera import MjpegCameras
 from firmware_sim.ptys import SerialPty
+from firmware_sim.specimen import Specimen
 
 POLL_S = 0.001
 CATCH_UP_S = 0.01
@@ -57,7 +60,8 @@ class BenchService:
         self.fps = fps
         self.skipped_s = 0.0
         self._clock = SystemClock() if clock is None else clock
-        # The first picture compiles and shades the scene; nobody should wait for it on an open wire.
+        # First uses compile, and the first picture shades the scene: nobody should wait for that on an open wire.
+        _compile(bench.specimen)
         self._encode(bench.microscope.render(bench.now_s))
         bench.truth()
         self._motion = SerialPty()
@@ -187,6 +191,21 @@ class BenchService:
 
     def _truth(self) -> dict[str, object]:
         return {**self.bench.truth(), "monotonic_s": self._clock.now_s(), "skipped_s": self.skipped_s}
+
+
+def _compile(specimen: Specimen) -> None:
+    """Cut and draw a little on a bench that nobody sees: whatever is compiled on first use is compiled now."""
+    machine = Machine(specimen)
+    scope = Microscope(machine)
+    x, y, z = specimen.skull.center_mm
+    machine.set_spindle(45_000.0)
+    machine.set_tip((x, y, z + 1.0))
+    scope.render(0.0)
+    machine.carve([(x, y), (x + 0.2, y)], 0.05, closed=False)
+    machine.set_tip((x, y, z - 0.1))
+    machine.advance_to(0.01)
+    scope.render(0.01)
+    machine.truth()
 
 
 def write_json_atomically(path: Path, content: dict[str, object]) -> None:
