@@ -44,6 +44,7 @@ class Limits:
         reopen_mm: what one look with the drill lifted may give back to a stopped point, beyond what its best
             estimate of completion leaves.
         most_reopen_mm: the bound on both together.
+        past_loss_mm: how far all looks together may let a point go past where the load was first lost.
         agrees: the best estimate of completion that does not contradict a load that says "through".
         looks: how often a point may be re-opened.
     """
@@ -64,6 +65,7 @@ class Limits:
     neighbour_mm: float = 0.05
     reopen_mm: float = 0.03
     most_reopen_mm: float = 0.06
+    past_loss_mm: float = 0.02
     agrees: float = 0.9
     looks: int = 4
 
@@ -107,6 +109,8 @@ class Point:
     state: PointState = PointState.OPEN
     why: str = "no contact yet"
     looks: int = 0
+    load_lost_mm: float | None = None
+    """Where the load first said "through", until both cues refute it."""
     looked_at_mm: float = -1.0
     allowance_mm: float | None = None
     """While re-opened: the depth that the last look allows."""
@@ -158,20 +162,18 @@ class Ledger:
         point.load_above_idle = above_idle or point.cut_mm <= self.limits.entry_mm
         picture_of_bone = point.upper is not None and point.upper < self.limits.threshold
         if not point.load_above_idle:
-            point.load_through = True
-            self._stop(point, "the load says through")
+            self._stop_by_load(point)
         elif point.load_ratio is not None and point.cut_mm > self.limits.thickness_low_mm - self.limits.prior_slack_mm:
             late = point.doubt or point.cut_mm > self.limits.thickness_low_mm
             if point.load_ratio >= (self.limits.whole if late else self.limits.droop):
                 point.doubt = False
                 if picture_of_bone:
                     # Both cues refute what stopped the point, if it was stopped.
-                    point.allowance_mm = None
+                    point.allowance_mm = point.load_lost_mm = None
             elif picture_of_bone and not point.doubt:
                 point.doubt = True
             else:
-                point.load_through = True
-                self._stop(point, "the load says through")
+                self._stop_by_load(point)
 
     def ask(self, index: int, *, bite_mm: float, now_s: float, frame_at_s: float) -> Grant:
         """How deep the tip may go at this visit. Asking again within one visit never adds to it."""
@@ -237,6 +239,8 @@ class Ledger:
             point.looks += point.cut_mm > point.looked_at_mm
             point.looked_at_mm = point.cut_mm
             point.allowance_mm = min(point.cut_mm + self._return_mm(point), limits.thickness_high_mm)
+            if point.load_lost_mm is not None:
+                point.allowance_mm = min(point.allowance_mm, point.load_lost_mm + limits.past_loss_mm)
             stopped_by_load = point.load_through
             point.picture_through = point.load_through = False
             point.frames_through = 0
@@ -343,6 +347,13 @@ class Ledger:
         return all(point.state is PointState.DONE for point in near) and (
             depth > self._shallower_neighbour_mm(index) + self.limits.neighbour_mm
         )
+
+    @classmethod
+    def _stop_by_load(cls, point: Point) -> None:
+        point.load_through = True
+        if point.load_lost_mm is None:
+            point.load_lost_mm = point.cut_mm
+        cls._stop(point, "the load says through")
 
     @staticmethod
     def _stop(point: Point, why: str) -> Grant:
