@@ -158,7 +158,8 @@ class Ledger:
         if ratio is not None:
             # One pass is some eight reports, its ratio spreads by a fifth: only several passes tell bone from a hole.
             before = 1.0 if point.load_ratio is None else point.load_ratio
-            point.load_ratio = before + self.limits.newest * (ratio - before)
+            # More load than bone takes is no more bone: it must not hide the droop that follows.
+            point.load_ratio = before + self.limits.newest * (min(ratio, 1.0) - before)
         point.load_above_idle = above_idle or point.cut_mm <= self.limits.entry_mm
         picture_of_bone = point.upper is not None and point.upper < self.limits.threshold
         if not point.load_above_idle:
@@ -245,7 +246,9 @@ class Ledger:
             point.picture_through = point.load_through = False
             point.frames_through = 0
             # What stopped the point is what the next bites have to prove wrong; where it was the load, small ones.
-            point.load_above_idle, point.load_ratio, point.doubt = True, None, stopped_by_load
+            point.load_above_idle, point.doubt = True, stopped_by_load
+            if not stopped_by_load:
+                point.load_ratio = None
             point.state, point.why = PointState.OPEN, "re-opened after a look"
         return point.state
 
