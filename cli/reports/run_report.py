@@ -74,7 +74,7 @@ class Figure:
 def _figures(
     run: Run, result: dict[str, Any], job: dict[str, Any], points: list[dict[str, Any]], contacts: list[dict[str, Any]]
 ) -> list[Figure]:
-    found = [Figure("milling time", f"{result.get('milling_time_s', 0.0):.0f} s", "published: 2.1 ± 1.8 min")]
+    found = [Figure("milling time", f"{result.get('milling_time_s', 0.0):.0f} s", "published, in mice: 2.1 ± 1.8 min")]
     verified = _last(run, "calibration.verified")
     if verified and job:
         off = sum(value**2 for value in verified["error_mm"]) ** 0.5
