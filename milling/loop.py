@@ -48,6 +48,8 @@ LOOK_FRAMES = 4
 BRIDGE_SHARE = 0.05
 """Of the ring that may still hold the flap: the published criterion of a window. Elsewhere the picture must at least
 show what little bone is left."""
+UNDECIDED_SHARE = 0.1
+"""Of the ring that may be left to the picture's estimate alone."""
 MOST_IDLE_ROUNDS = 2
 """Laps and looks in a row in which no point got deeper."""
 
@@ -260,7 +262,8 @@ class _Run:
                 left = [i for i, point in enumerate(ledger.points) if point.state is not PointState.DONE]
                 names = ", ".join(f"{i + 1} ({ledger.points[i].why})" for i in left)
                 bridges = [i for i in left if ledger.completion(i) < ledger.limits.agrees]
-                if len(bridges) <= BRIDGE_SHARE * len(ledger.points):
+                n = len(ledger.points)
+                if len(bridges) <= BRIDGE_SHARE * n and len(left) <= UNDECIDED_SHARE * n:
                     return "complete", f"the flap can be lifted, though not every cue says these are through: {names}"
                 return "held", f"the cues disagree on these points, and no look may re-open them: {names}"
 
