@@ -2,36 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
+from calib.procedure import FindTip, Keypoint
 from drivers.camera.interface import Image, StereoCamera
 from drivers.clock import Clock
 from drivers.motion.interface import MotionController, Vector
 from drivers.spindle.interface import Spindle
 from milling.eyes import CompletionReader
 
-
-class Keypoint(Protocol):
-    """A place in a picture; see ``vision.keypoints``."""
-
-    @property
-    def x_px(self) -> float:
-        """To the right."""
-
-    @property
-    def y_px(self) -> float:
-        """Downwards."""
-
-    @property
-    def sigma_px(self) -> float:
-        """Of each coordinate."""
-
-    @property
-    def visible(self) -> bool:
-        """Whether the place means anything."""
-
-
-FindTip = Callable[[Image], Keypoint]
 FindLandmarks = Callable[[Image], tuple[Keypoint, Keypoint]]
 
 

@@ -110,6 +110,7 @@ class Laps:
         self._at_s = 0.0
         self._tip: Vector | None = None
         self._reports: deque[SpindleStatus] = deque(maxlen=512)
+        self._torque = 0.0
         self._bitten = 0
         self._logged_s = float("-inf")
         self._track: deque[tuple[float, float]] = deque(maxlen=64)
@@ -122,8 +123,8 @@ class Laps:
 
     @property
     def torque(self) -> float:
-        """The newest report."""
-        return self._reports[-1].torque_fraction if self._reports else 0.0
+        """The newest report, for people; 0 before the first."""
+        return self._torque
 
     def mill(self) -> bool:
         """Run laps; whether they ended because no point is open (and not because none gets a bite).
@@ -131,12 +132,16 @@ class Laps:
         Raises:
             Interrupted, SafetyStop, DeviceError: the tip is where it was.
         """
-        self._hands.on_torque.append(self._reports.append)
+        self._hands.on_torque.append(self._hear)
         try:
             self._enter()
             return self._run()
         finally:
-            self._hands.on_torque.remove(self._reports.append)
+            self._hands.on_torque.remove(self._hear)
+
+    def _hear(self, status: SpindleStatus) -> None:
+        self._reports.append(status)
+        self._torque = status.torque_fraction
 
     def _run(self) -> bool:
         clock = self._hands.clock
