@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from cli.options import json_option, rig_option
-from cli.output import write_json
+from cli.output import columns, write_json
 
 if TYPE_CHECKING:
     from drivers.discovery import FoundDevice
@@ -21,9 +21,6 @@ def devices(rig: Path | None, json_file: Path | None) -> None:
 
     With --rig, the ports that the rig file names are listed too, such as those of a virtual bench.
     """
-    from rich.console import Console
-    from rich.table import Table
-
     from cli.config import GrblMotion, load_rig
     from drivers.discovery import find_devices
 
@@ -40,18 +37,14 @@ def devices(rig: Path | None, json_file: Path | None) -> None:
     if not found:
         click.echo("nothing found: no serial port, CAN interface or camera. Is it plugged in? `lsusb` lists what is.")
         return
-    table = Table("kind", "use this name", "is now", "USB id", "serial number", "product", "state")
+    rows = []
     for device in found:
-        table.add_row(
-            device.kind,
-            device.stable_paths[0] if device.stable_paths else device.path,
-            device.path,
-            device.usb_id or "",
-            device.serial_number or "",
-            device.product or "",
-            state(device),
-        )
-    Console().print(table)
+        name, *_ = [*device.stable_paths, device.path]
+        now = device.path if device.path != name else ""
+        about = (device.usb_id or "", device.serial_number or "", device.product or "")
+        rows.append((device.kind, name, now, *about, state(device)))
+    for line in columns(("kind", "use this name", "is now", "USB id", "serial number", "product", "state"), rows):
+        click.echo(line)
 
 
 def state(device: "FoundDevice") -> str:

@@ -10,6 +10,7 @@ import sys
 
 import click
 
+from cli.output import one_line
 from drivers.errors import ConfigError, DeviceError, MillError
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -68,18 +69,26 @@ def main() -> None:
     """Run `mill`; an error of ours is one line and no traceback. SIGTERM is like Ctrl-C: devices are left safe."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        mill.main(standalone_mode=False)
+        mill.main(args=sys.argv[1:] or ["--help"], prog_name="mill", standalone_mode=False)
     except click.exceptions.Exit as stop:
         sys.exit(stop.exit_code)
     except click.ClickException as error:
-        error.show()
+        context = getattr(error, "ctx", None)
+        step = f"; see `{context.command_path} --help`" if context else ""
+        click.echo(f"mill: {one_line(error.format_message()).rstrip('.')}{step}", err=True)
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
         click.echo("mill: interrupted", err=True)
         sys.exit(130)
     except MillError as error:
-        click.echo(f"mill: {' '.join(str(error).split())}", err=True)
+        click.echo(f"mill: {one_line(str(error))}", err=True)
         sys.exit(exit_code(error))
+    except OSError as error:
+        # A file's name makes it about a path that a person gave; any other is a fault of ours and keeps its traceback.
+        if error.filename is None:
+            raise
+        click.echo(f"mill: {error.filename}: {error.strerror}; name another place, or make room there", err=True)
+        sys.exit(2)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
-"""Machine-readable results: one JSON object a command."""
+"""What commands write: one JSON object for machines, lines and columns for people."""
 
 import json
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -21,3 +22,19 @@ def write_json(path: Path, command: str, *, seed: int | None, **figures: Any) ->
         path.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: cannot write the results: {error.strerror}; name another --json file") from None
+
+
+def one_line(text: str) -> str:
+    """The same words on one line."""
+    return " ".join(text.split())
+
+
+def columns(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A table as lines that are never cut: what stands in it can be copied, and found with grep.
+
+    Columns that are empty in every row are left out.
+    """
+    kept = [index for index in range(len(titles)) if any(row[index] for row in rows)]
+    table = [[row[index] for index in kept] for row in [titles, *rows]]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in table]

@@ -15,6 +15,7 @@ from cli.calibrate import calibrate_rig, calibration_path, rig_identity
 from cli.options import emulate_option, json_option, rig_option, seed_option, specimen_option
 from cli.output import write_json
 from cli.rig import Rig, rig_for
+from drivers.errors import ConfigError
 
 if TYPE_CHECKING:
     from calib.calibration_file import Calibration
@@ -66,6 +67,8 @@ def run(
     tip, landmarks, completion = TipFinder.load(), LandmarkFinder.load(), CompletionReader.load()
     weights = {"tip": tip.sha256, "landmarks": landmarks.sha256, "completion": completion.sha256}
     folder = record or Path("runs") / datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
+    if (folder / "events.jsonl").exists():
+        raise ConfigError(f"{folder}: holds a run already, which is kept; name another --record folder")
     with _stop_signals() as stop_requested, rig_for(rig, emulate=emulate, specimen=specimen, seed=seed) as bench:
         job = Job.from_table(_job_table(bench, choices))
         path = calibration or calibration_path(bench.config.name)

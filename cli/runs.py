@@ -1,12 +1,13 @@
 """`mill runs`: the records of past runs."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from cli.options import json_option
-from cli.output import write_json
+from cli.output import columns, write_json
 from drivers.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ folder_option = click.option(
 )
 
 
-@click.group()
+@click.group(no_args_is_help=False)
 def runs() -> None:
     """List, show and report recorded runs."""
 
@@ -34,16 +35,12 @@ def runs() -> None:
 @json_option
 def list_runs(folder: Path, json_file: Path | None) -> None:
     """List the runs in the folder, the newest last."""
-    from rich.console import Console
-
-    from milling.record import read_run
-
-    rows: list[dict[str, str | float]] = []
+    rows: list[dict[str, str | float | None]] = []
     for path in sorted(folder.iterdir()) if folder.is_dir() else []:
         if not (path / "header.json").is_file():
             continue
         try:
-            run = read_run(path)
+            run = read(path)
         except ConfigError as error:
             rows.append({"run": path.name, "outcome": "damaged", "reason": str(error)})
         else:
@@ -55,10 +52,9 @@ def list_runs(folder: Path, json_file: Path | None) -> None:
     if not rows:
         click.echo(f"{folder}: no runs yet; `mill run --emulate` makes one")
         return
-    console = Console()
-    for row in rows:
-        line = f"{row['run']}  {row['outcome']:<9} {float(row.get('milling_time_s', 0.0)):5.0f} s  {row['reason']}"
-        console.print(line, highlight=False, no_wrap=True, overflow="ellipsis")
+    table = [(str(row["run"]), str(row["outcome"]), _seconds(row), str(row["reason"])) for row in rows]
+    for line in columns(("run", "outcome", "milling", "reason"), table):
+        click.echo(line)
 
 
 @runs.command()
@@ -67,35 +63,42 @@ def list_runs(folder: Path, json_file: Path | None) -> None:
 @json_option
 def show(run_folder: Path, folder: Path, json_file: Path | None) -> None:
     """Show one run: what it was, how it ended, and every point of its ring."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from milling.record import read_run
-
-    run = read_run(located(run_folder, folder))
+    run = read(located(run_folder, folder))
     facts = summary(run)
     points = [] if run.result is None else run.result["points"]
     if json_file:
         write_json(json_file, "runs show", seed=None, header=run.header, **facts, points=points, damage=run.damage)
         if str(json_file) == "-":
             return
-    console = Console()
-    for name, value in {**facts, "date": run.header.get("date"), "damage": run.damage or "none"}.items():
-        console.print(f"{name:>16}  {value}", highlight=False, soft_wrap=True)
+    lines = {
+        "rig": facts["rig"],
+        "date": run.header.get("date"),
+        "outcome": facts["outcome"],
+        "reason": facts["reason"],
+        "milling": _seconds(facts),
+        "damage": run.damage or "none",
+    }
+    for name, value in lines.items():
+        if value:
+            click.echo(f"{name:>8}  {value}")
     if not points:
         return
-    table = Table("point", "contact, mm", "depth, mm", "completion", "state", "why")
+    click.echo()
+    table = []
     for number, point in enumerate(points, start=1):
         contact = point.get("contact_mm")
-        table.add_row(
-            str(number),
-            "" if contact is None else f"{contact:.3f}",
-            f"{point['depth_mm']:.3f}",
-            f"{point['completion']:.2f}",
-            point.get("state", ""),
-            point.get("why", ""),
+        table.append(
+            (
+                str(number),
+                "" if contact is None else f"{contact:.3f}",
+                f"{point['depth_mm']:.3f}",
+                f"{point['completion']:.2f}",
+                point.get("state", ""),
+                point.get("why", ""),
+            )
         )
-    console.print(table)
+    for line in columns(("point", "contact, mm", "depth, mm", "completion", "state", "why"), table):
+        click.echo(line)
 
 
 @runs.command()
@@ -105,7 +108,7 @@ def report(run_folder: Path, folder: Path) -> None:
     """Write a run's report anew from its record, and print its path."""
     from cli.reports.run_report import write_report
 
-    click.echo(write_report(located(run_folder, folder)))
+    click.echo(write_report(read(located(run_folder, folder)).folder))
 
 
 def located(run_folder: Path, folder: Path) -> Path:
@@ -120,12 +123,36 @@ def located(run_folder: Path, folder: Path) -> Path:
     raise ConfigError(f"{run_folder}: no such run, here or in {folder}; `mill runs list` lists them")
 
 
-def summary(run: "Run") -> dict[str, str | float]:
+def read(path: Path) -> "Run":
+    """The record of a run.
+
+    Raises:
+        ConfigError: it is damaged where that cannot be told apart from what happened.
+    """
+    from milling.record import read_run
+
+    try:
+        return read_run(path)
+    except ConfigError:
+        raise
+    except ValueError as error:
+        raise ConfigError(
+            f"{path}: header.json or result.json is damaged: {error}; events.jsonl is untouched"
+        ) from None
+
+
+def summary(run: "Run") -> dict[str, str | float | None]:
     """The line a person looks for. A run without a result was cut off: its events are whole up to then."""
     result = run.result or {}
     return {
         "rig": str(run.header.get("rig", "")),
         "outcome": str(result.get("outcome", "cut off")),
         "reason": str(result.get("reason", "the process ended before the run did; its events are kept")),
-        "milling_time_s": float(result.get("milling_time_s", 0.0)),
+        "milling_time_s": result.get("milling_time_s"),
     }
+
+
+def _seconds(facts: Mapping[str, str | float | None]) -> str:
+    """The milling time; nothing where a run did not live to tell it."""
+    time_s = facts.get("milling_time_s")
+    return "" if time_s is None else f"{float(time_s):.0f} s"

@@ -18,7 +18,7 @@ LOG_STEPS = 250
 """Where nobody watches a bar, a line is printed this often."""
 TASKS = ("tip", "landmarks", "completion")
 
-task_argument = click.argument("task", type=click.Choice(TASKS))
+task_argument = click.argument("task", metavar="TASK", type=click.Choice(TASKS))
 seed_option = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Draws everything.")
 
 
@@ -38,6 +38,8 @@ seed_option = click.option("--seed", type=click.IntRange(0), default=0, show_def
 )
 def train(task: str, data: Path | None, recipe: str, seed: int, out: Path) -> None:
     """Train a network on rendered pictures, and write it with its hash and its held-out figures.
+
+    TASK is tip, landmarks or completion.
 
     Training resumes where it was killed: from FILE.checkpoint, which is removed at the end.
     """
@@ -77,7 +79,12 @@ def train(task: str, data: Path | None, recipe: str, seed: int, out: Path) -> No
     metavar="DIR",
     help="Measure on the test pictures in this folder instead of fresh ones.",
 )
-@click.option("--weights", type=click.Path(path_type=Path), metavar="FILE", help="ONNX file in place of mill's own.")
+@click.option(
+    "--weights",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    metavar="FILE",
+    help="ONNX file in place of mill's own.",
+)
 @click.option(
     "--specimens",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
@@ -89,7 +96,10 @@ def train(task: str, data: Path | None, recipe: str, seed: int, out: Path) -> No
 def evaluate(
     task: str, data: Path | None, weights: Path | None, specimens: Path | None, seed: int, json_file: Path | None
 ) -> None:
-    """Measure a network on specimens and rigs it never saw."""
+    """Measure a network on specimens and rigs it never saw.
+
+    TASK is tip, landmarks or completion.
+    """
     import tempfile
 
     from studies.datasets import ensure

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mill_command import mill
 from pytest_mock import MockerFixture
 
 from calib.calibration_file import Calibration, RigIdentity
 from calib.camera_fit import fit_camera_pair
 from cli.config import load_rig
-from cli.main import main
 from drivers.lock import owner_of
 from drivers.motion.grbl.driver import GrblController
 
@@ -50,23 +50,11 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
             process.wait(20.0)
 
 
-def mill(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["mill", *words])
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        main()
-    except SystemExit as end:
-        return int(end.code or 0)
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    return 0
-
-
 def test_doctor_passes_and_every_check_says_what_it_is(
-    bench: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     results = tmp_path / "doctor.json"
-    code = mill(monkeypatch, "doctor", "--rig", str(bench), "--json", str(results))
+    code = mill("doctor", "--rig", str(bench), "--json", str(results))
     report = json.loads(results.read_text())
     failed = [check for check in report["checks"] if check["verdict"] != "pass"]
     assert (code, failed) == (0, [])
@@ -78,25 +66,23 @@ def test_doctor_passes_and_every_check_says_what_it_is(
     assert "every check passed" in capsys.readouterr().out
 
 
-def test_jog_homes_and_goes_where_it_is_told(
-    bench: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert mill(monkeypatch, "jog", "--rig", str(bench), "--home", "--to", "20", "5", "15", "--feed", "20") == 0
+def test_jog_homes_and_goes_where_it_is_told(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert mill("jog", "--rig", str(bench), "--home", "--to", "20", "5", "15", "--feed", "20") == 0
     assert capsys.readouterr().out == "idle  tip in {R}: x 20.000  y 5.000  z 15.000 mm\n"
-    assert mill(monkeypatch, "jog", "--rig", str(bench), "--to", "20", "5", "99") == 3
+    assert mill("jog", "--rig", str(bench), "--to", "20", "5", "99") == 3
     assert "mill: " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("manner", ["willing", "stubborn"])
 def test_stop_ends_who_holds_the_ports_and_stops_both_devices(
-    bench: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], manner: str
+    bench: Path, capsys: pytest.CaptureFixture[str], manner: str
 ) -> None:
     port = load_rig(bench).motion.model_dump()["port"]
     with subprocess.Popen([sys.executable, "-c", HOLDER, port, manner], stdout=subprocess.PIPE) as holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == b"holding\n"
         assert owner_of(port) is not None
-        assert mill(monkeypatch, "stop", "--rig", str(bench)) == 0
+        assert mill("stop", "--rig", str(bench)) == 0
         assert holder.wait(5.0) == -(signal.SIGTERM if manner == "willing" else signal.SIGKILL)
     said = capsys.readouterr().out.splitlines()
     asked = [f"asking pid {holder.pid} to lift and stop"]
@@ -121,7 +107,6 @@ def calibration_of_another_rig() -> Calibration:
 def test_a_calibration_of_another_rig_moves_nothing(
     bench: Path,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     mocker: MockerFixture,
     command: list[str],
@@ -131,7 +116,7 @@ def test_a_calibration_of_another_rig_moves_nothing(
     home = mocker.spy(GrblController, "home")
     where = "--calibration" if command == ["run"] else "--out"
     record = ["--record", str(tmp_path / "run")] if command == ["run"] else []
-    assert mill(monkeypatch, *command, "--rig", str(bench), where, str(file), *record) == 2
+    assert mill(*command, "--rig", str(bench), where, str(file), *record) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     for part in (str(file), "another rig", "stage 7", "mill calibrate"):

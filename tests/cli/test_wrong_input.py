@@ -5,18 +5,10 @@ import shutil
 from pathlib import Path
 
 import pytest
+from mill_command import mill
 from rig_file import GOOD
 
 import vision.runtime
-from cli.main import main
-
-
-def mill(*words: str, monkeypatch: pytest.MonkeyPatch) -> int:
-    monkeypatch.setattr("sys.argv", ["mill", *words])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert isinstance(ended.value.code, int)
-    return ended.value.code
 
 
 @pytest.fixture
@@ -59,9 +51,8 @@ def test_wrong_words_are_named(
     says: list[str],
     rig: Path,
     capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert mill(command, *words, monkeypatch=monkeypatch) == 2
+    assert mill(command, *words) == 2
     said = capsys.readouterr().err
     assert "Traceback" not in said
     for part in says:
@@ -69,31 +60,25 @@ def test_wrong_words_are_named(
     assert sorted(path.name for path in rig.parent.iterdir()) == ["rig.toml"]
 
 
-def test_an_unknown_key_of_a_specimen_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unknown_key_of_a_specimen_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "mouse.toml").write_text("schema = 1\n[skull]\nthickness = 3\n")
-    assert mill("emulate", "--specimen", "mouse.toml", monkeypatch=monkeypatch) == 2
+    assert mill("emulate", "--specimen", "mouse.toml") == 2
     said = capsys.readouterr().err
     for part in ("mouse.toml", "skull.thickness", "thickness_mm"):
         assert part in said
     assert said.count("\n") == 1
 
 
-def test_an_absent_device_names_path_reason_and_next_step(
-    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert mill("jog", "--rig", str(rig), "--home", monkeypatch=monkeypatch) == 3
+def test_an_absent_device_names_path_reason_and_next_step(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert mill("jog", "--rig", str(rig), "--home") == 3
     said = capsys.readouterr().err
     for part in ("/dev/mill-motion", "no such", "mill devices"):
         assert part.lower() in said.lower()
 
 
-def test_doctor_goes_on_to_the_next_device(
-    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_doctor_goes_on_to_the_next_device(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     results = tmp_path / "doctor.json"
-    assert mill("doctor", "--rig", str(rig), "--json", str(results), monkeypatch=monkeypatch) == 1
+    assert mill("doctor", "--rig", str(rig), "--json", str(results)) == 1
     checks = json.loads(results.read_text())["checks"]
     assert [(check["name"], check["verdict"]) for check in checks] == [
         ("motion: answers", "fail"),
@@ -105,12 +90,21 @@ def test_doctor_goes_on_to_the_next_device(
 
 
 def test_stop_tries_both_devices_and_names_what_it_could_not_stop(
-    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    rig: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert mill("stop", "--rig", str(rig), monkeypatch=monkeypatch) == 3
+    assert mill("stop", "--rig", str(rig)) == 3
     said = capsys.readouterr().err
     for part in ("spindle: /dev/mill-spindle", "motion: /dev/mill-motion", "emergency stop"):
         assert part in said
+
+
+def test_a_record_is_never_written_over(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    events = tmp_path / "old" / "events.jsonl"
+    events.parent.mkdir()
+    events.write_text("kept")
+    assert mill("run", "--rig", str(rig), "--record", str(events.parent)) == 2
+    assert "old: holds a run already" in capsys.readouterr().err
+    assert events.read_text() == "kept"
 
 
 @pytest.mark.parametrize("name", ["tip.onnx", "landmarks.onnx", "completion.onnx"])
@@ -129,7 +123,7 @@ def test_missing_weights_are_named_before_anything_is_opened(
     (folder / name).unlink()
     for finder in (TipFinder, LandmarkFinder, CompletionReader):
         monkeypatch.setattr(finder, "weights", folder / finder.weights.name)
-    assert mill("run", "--rig", str(rig), monkeypatch=monkeypatch) == 2
+    assert mill("run", "--rig", str(rig)) == 2
     said = capsys.readouterr().err
     for part in (str(folder / name), "no such weights", "mill train"):
         assert part in said
