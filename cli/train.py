@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from cli.options import json_option
@@ -144,11 +144,13 @@ def _progress(console: Console) -> Progress:
 
 
 def _counter(progress: Progress, what: str) -> Callable[[int, int], None]:
-    """A new bar, as a function of how much is done and of how much."""
-    bar = progress.add_task(what, total=None)
+    """A bar from the first step on, as a function of how much is done and of how much."""
+    bars: list[TaskID] = []
 
     def count(done: int, total: int) -> None:
-        progress.update(bar, completed=done, total=total)
+        if not bars:
+            bars.append(progress.add_task(what, total=total))
+        progress.update(bars[0], completed=done)
 
     return count
 
