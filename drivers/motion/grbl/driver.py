@@ -84,7 +84,7 @@ class GrblController(MotionController):
         self._closed = False
         self._info = protocol.BuildInfo("", "", "", is_hal=False)
         try:
-            self._session.reset_and_release()
+            self._session.reset_and_release(self._session.halts)
             self._info = self._read_build_info()
             self._settings = self._read_settings()
             self._check_expected(expected_settings or {})
@@ -118,15 +118,16 @@ class GrblController(MotionController):
         return _DEAD_TIME_HAL_S if self._info.is_hal else _DEAD_TIME_GNEA_S
 
     def home(self) -> None:
-        """Find the switches; releases a latched fault. A floor stays in force."""
+        """Find the switches; releases a fault that was latched before. A floor stays in force."""
         session = self._session
+        halts = session.halts
+        self._homed = False
         if session.fault is None:
             self._come_to_rest()
         elif session.is_lost:
             session.check()
         if session.fault is not None:
-            session.reset_and_release()
-        self._homed = False
+            session.reset_and_release(halts)
         if self._floor_mm is not None:
             # The search for the switches is as long as the travel setting says.
             self._write_z_travel(self._full_travel_mm)
@@ -270,13 +271,14 @@ class GrblController(MotionController):
         if self._closed:
             return
         self._closed = True
+        halts = self._session.halts
         try:
             # A fault has stopped the machine already.
             if self._session.fault is None:
                 self._come_to_rest()
             if self._floor_mm is not None and not self._session.is_lost:
                 if self._session.fault is not None:
-                    self._session.reset_and_release()
+                    self._session.reset_and_release(halts)
                 self._write_z_travel(self._full_travel_mm)
         except ConnectionLostError:
             pass  # There is nobody left to bring to rest.

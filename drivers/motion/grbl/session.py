@@ -1,8 +1,10 @@
 """The conversation with one GRBL controller: lines and their acknowledgements, reports, resets, and what latches.
 
-There is no thread. Whoever calls pumps the wire; only ``urgent()`` may be called from another thread at the same
-time, and it writes at once. One line at a time waits for its acknowledgement, so that a refusal belongs to the call
-that caused it and the receive buffer cannot overflow; status queries are not lines and take no room there.
+There is no thread. Whoever calls pumps the wire, and everything that is counted or latched is its own. Another thread
+may call ``urgent()`` and ``halt()`` at the same time: they write at once, and all that ``halt()`` leaves behind is two
+marks, one before its bytes and one behind them (docs/decisions/0004). One line at a time waits for its
+acknowledgement, so that a refusal belongs to the call that caused it and the receive buffer cannot overflow; status
+queries are not lines and take no room there.
 """
 
 from collections.abc import Callable
@@ -34,6 +36,9 @@ class Fault:
     position_lost: bool
 
 
+_HALTED = Fault("halted by halt()", position_lost=False)
+
+
 class GrblSession:
     """Speaks to one controller over one line."""
 
@@ -51,10 +56,12 @@ class GrblSession:
         self._reports = 0
         self._unreadable_reports = 0
         self._lost: str | None = None
-        self._halts = 0
+        self._latched: Fault | None = None
+        # Appending is atomic and counting up is not, and two threads may halt at once.
+        self._halts_begun: list[None] = []
+        self._halts_done: list[None] = []
+        self._halts_released = 0
         self.on_report: Callable[[protocol.Report], None] = lambda _report: None
-        self.fault: Fault | None = None
-        """Latched: the controller stopped, or was stopped. Homing releases it."""
         self.upset: str | None = None
         """The queue is not what the host thinks it is. Dropping the queue, or homing, releases it."""
         self.tolerated_alarm: int | None = None
@@ -77,10 +84,18 @@ class GrblSession:
         """Whether a line was sent that the controller has neither taken nor refused."""
         return bool(self._unacknowledged)
 
+    @property
+    def fault(self) -> Fault | None:
+        """Latched: the controller stopped, or was stopped. Homing releases it."""
+        return self._latched or (_HALTED if self._is_halted else None)
+
+    @property
+    def halts(self) -> int:
+        """How many halts are over. Who releases asks first thing, so that none that comes later is forgotten."""
+        return len(self._halts_done)
+
     def urgent(self, data: bytes) -> None:
         """Put real-time bytes on the wire now. From any thread."""
-        if protocol.RESET in data:
-            self._expects_banner = True
         self._line.write(data)
 
     def halt(self) -> None:
@@ -88,14 +103,18 @@ class GrblSession:
 
         What happens to the position the controller says by itself: it raises ALARM:3 when it was moving.
         """
-        self._halts += 1
-        self.latch("halted by halt()", position_lost=False)
-        self.urgent(protocol.HOLD + protocol.RESET)
+        # Before the bytes, so that no line is written behind them unseen.
+        self._halts_begun.append(None)
+        try:
+            self._line.write(protocol.HOLD + protocol.RESET)
+        finally:
+            # A release that comes between the two releases nothing: the bytes may still reach the wire behind it.
+            self._halts_done.append(None)
 
     def latch(self, words: str, *, position_lost: bool) -> None:
         """Latch a fault; the first one stays, but a position that is lost later is lost."""
         first = self.fault or Fault(words, position_lost)
-        self.fault = replace(first, position_lost=first.position_lost or position_lost)
+        self._latched = replace(first, position_lost=first.position_lost or position_lost)
 
     def check(self) -> None:
         """Raise what has latched.
@@ -140,14 +159,13 @@ class GrblSession:
             DeviceFaultError: refused, or a fault latched meanwhile.
             DeviceTimeoutError: neither taken nor refused in time.
         """
-        halts = self._halts
         self.check()
         self._replies.clear()
         self._refusal = None
         self._unacknowledged.append(text)
         self._line.write(text.encode("ascii") + b"\n")
         self.pump_until(lambda: not self._unacknowledged or self.fault is not None, timeout_s)
-        if self._halts != halts:
+        if self._is_halted:
             # The line may have been written just after the halt, by which the controller was idle and open to it.
             self.urgent(protocol.HOLD + protocol.RESET)
         self.check()
@@ -200,6 +218,7 @@ class GrblSession:
             DeviceTimeoutError: no banner.
         """
         seen = self._banners
+        self._expects_banner = True
         for _ in range(2):
             self.urgent(protocol.RESET)
             if self.pump_until(lambda: self._banners > seen, BANNER_S):
@@ -217,19 +236,30 @@ class GrblSession:
         self._strikes = 0
         self.upset = None
 
-    def reset_and_release(self) -> None:
-        """Reset, and forget what has latched before or because of it; a halt from another thread meanwhile stays."""
-        halts = self._halts
+    def reset_and_release(self, halts: int) -> None:
+        """Reset, and forget what has latched before or because of it, and the first ``halts`` halts.
+
+        Raises:
+            DeviceFaultError: there was one more, from another thread.
+        """
         self.reset()
-        self.fault = None
-        if self._halts != halts:
-            self.halt()
-            self.check()
+        self._latched = None
+        self._halts_released = halts
+        self.check()
 
     def close(self) -> None:
         """Give the line back."""
         self._lost = self._lost or f"{self.name}: the controller was closed; open it again"
         self._line.close()
+
+    @property
+    def _is_halted(self) -> bool:
+        return len(self._halts_begun) > self._halts_released
+
+    @property
+    def _is_resetting(self) -> bool:
+        """Whether a banner, half a line before it, and lines without acknowledgement are what is due."""
+        return self._expects_banner or self._is_halted
 
     def _wait_for_quiet(self) -> None:
         # A controller that reports by itself is never quiet.
@@ -275,9 +305,9 @@ class GrblSession:
                 self.latch(alarm_words(code), position_lost=alarm_meaning(code).position_lost)
             case protocol.Welcome():
                 self._banners += 1
-                if not self._expects_banner:
+                if not self._is_resetting:
                     self.latch("the controller was reset by somebody else or lost its power", position_lost=True)
-            case protocol.Broken(line, _) if self._expects_banner:
+            case protocol.Broken(line, _) if self._is_resetting:
                 self._unreadable_reports += line.startswith("<")
             case protocol.Broken(line, _):
                 self._strikes += 1
@@ -287,7 +317,7 @@ class GrblSession:
                 pass
 
     def _acknowledge(self, message: protocol.Ok | protocol.Refused) -> None:
-        if self._expects_banner:
+        if self._is_resetting:
             return
         if not self._unacknowledged:
             self.upset = "an acknowledgement that no line was waiting for"
