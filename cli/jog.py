@@ -6,6 +6,7 @@ import click
 
 from cli.options import emulate_option, rig_option, seed_option, specimen_option
 from cli.rig import rig_for
+from drivers.errors import NotHomedError
 
 
 @click.command()
@@ -39,7 +40,10 @@ def jog(
             here = motion.status().position_mm
             target_mm = (here[0] + step_mm[0], here[1] + step_mm[1], here[2] + step_mm[2])
         if target_mm:
-            motion.start_move(target_mm, feed_mm_per_s=feed_mm_s)
+            try:
+                motion.start_move(target_mm, feed_mm_per_s=feed_mm_s)
+            except NotHomedError as error:
+                raise NotHomedError(f"{str(error).partition(';')[0]}; add --home to this command") from None
             motion.wait_until_idle(timeout_s=120.0)
         status = motion.status()
         x, y, z = status.position_mm

@@ -10,7 +10,7 @@ import sys
 
 import click
 
-from cli.output import one_line
+from cli.output import for_people, one_line
 from drivers.errors import ConfigError, DeviceError, MillError
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -81,7 +81,7 @@ def main() -> None:
         click.echo("mill: interrupted", err=True)
         sys.exit(130)
     except MillError as error:
-        click.echo(f"mill: {one_line(str(error))}", err=True)
+        click.echo(f"mill: {for_people(error)}", err=True)
         sys.exit(exit_code(error))
     except OSError as error:
         # A file's name makes it about a path that a person gave; any other is a fault of ours and keeps its traceback.

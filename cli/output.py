@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from drivers.errors import ConfigError
+from drivers.errors import ConfigError, MillError
 
 
 def write_json(path: Path, command: str, *, seed: int | None, **figures: Any) -> None:
@@ -27,6 +27,22 @@ def write_json(path: Path, command: str, *, seed: int | None, **figures: Any) ->
 def one_line(text: str) -> str:
     """The same words on one line."""
     return " ".join(text.split())
+
+
+COMMANDS_OF_VERBS = {
+    "hold() or flush()": "`mill stop`",
+    "halt() stops": "`mill stop` stops",
+    "home()": "`mill jog --home`",
+}
+"""What the drivers tell a program to call, and what a person types for it."""
+
+
+def for_people(error: MillError) -> str:
+    """The words of an error on one line; a next step that is a call becomes the command that does it."""
+    text = one_line(str(error))
+    for verb, command in COMMANDS_OF_VERBS.items():
+        text = text.replace(verb, command)
+    return text
 
 
 def columns(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
