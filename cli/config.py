@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import pydantic
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
+from drivers.backends import Kind, backend_names
 from drivers.errors import ConfigError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -32,7 +33,7 @@ class GrblMotion(Table):
     origin_mm: Vector
     """Where the controller's machine coordinates put the origin of {R}."""
     max_feed_mm_s: Positive = 20.0
-    settings: dict[str, Finite] = {}
+    settings: dict[Annotated[str, Field(pattern=r"^\$?[0-9]+$")], Finite] = {}
     """Firmware settings that must read back as given, such as "$100" = 1000."""
 
 
@@ -42,7 +43,7 @@ class Cia402SpindleTable(Table):
     backend: Literal["cia402"] = "cia402"
     interface: Literal["slcan", "socketcan"] = "slcan"
     channel: str
-    bitrate: int = Field(1_000_000, gt=0)
+    bitrate: Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000] = 1_000_000
     node_id: int = Field(1, ge=1, le=126)
     speed_rpm: Positive = 45_000.0
     max_speed_rpm: Annotated[Positive, Field(validate_default=True)] = 60_000.0
@@ -120,7 +121,7 @@ class RigConfig(BaseModel):
     """Checked by milling.job, which knows the limits of a job."""
 
 
-BUILT_IN: Mapping[str, Mapping[str, type[Table]]] = {
+BUILT_IN: Mapping[Kind, Mapping[str, type[Table]]] = {
     "motion": {"grbl": GrblMotion},
     "spindle": {"cia402": Cia402SpindleTable},
     "camera": {"opencv": OpenCvCamera},
@@ -153,8 +154,13 @@ def read_toml(path: Path, what: str, next_step: str) -> dict[str, Any]:
         raise ConfigError(f"{path}: not TOML: {error}; {next_step}") from None
 
 
-def _device_table(path: Path, kind: str, table: dict[str, Any], models: Mapping[str, type[Table]]) -> BaseModel:
-    name = table.get("backend", next(iter(models)))
+def _device_table(path: Path, kind: Kind, table: dict[str, Any], models: Mapping[str, type[Table]]) -> BaseModel:
+    name, known = table.get("backend", next(iter(models))), backend_names(kind)
+    if name not in known:
+        raise ConfigError(
+            f"{path}: {kind}.backend = {name!r}: unknown; allowed: {', '.join(known)}; correct it, or install the "
+            f"package that adds {kind}.{name}"
+        )
     if name in models:
         return _checked(models[name], table, path, prefix=f"{kind}.")
     return _checked(OtherBackend, table, path, prefix=f"{kind}.")

@@ -9,10 +9,10 @@ from typing import Any
 import click
 
 from cli.options import emulate_option, json_option, rig_option, seed_option, specimen_option
-from cli.output import write_json
+from cli.output import for_people, write_json
 from cli.rig import Rig, rig_for
 from drivers.clock import Clock
-from drivers.errors import DeviceError
+from drivers.errors import ConfigError, DeviceError
 from drivers.motion.interface import MotionController, MotionState
 
 ROUND_TRIPS = 50
@@ -95,11 +95,14 @@ def _within(name: str, value: float, low: float, high: float, unit: str) -> Chec
 
 
 def _whole(name: str, checks: Iterator[Check]) -> Iterator[Check]:
-    """The checks of one device; one that fails in the middle is a finding, and the next device's turn."""
+    """The checks of one device; one that fails in the middle is a finding, and the next device's turn.
+
+    So is a device that is not set as the rig file says, or not as mill needs it: the file itself was found good before.
+    """
     try:
         yield from checks
-    except DeviceError as error:
-        yield Check(f"{name}: answers", " ".join(str(error).split()), "", "no error", False)
+    except (DeviceError, ConfigError) as error:
+        yield Check(f"{name}: answers", for_people(error), "", "no error", False)
 
 
 def _percentile(values: list[float], share: float) -> float:

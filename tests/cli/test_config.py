@@ -1,11 +1,14 @@
 """A rig file that cannot be used is refused in one line: file, key, value, what is allowed."""
 
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+from pytest_mock import MockerFixture
 from rig_file import GOOD
 
 from cli.config import GrblMotion, OtherBackend, load_rig
+from drivers.backends import ENTRY_POINT_GROUP
 from drivers.errors import ConfigError
 
 
@@ -38,6 +41,10 @@ def test_a_good_file_loads_with_the_defaults_of_the_field(tmp_path: Path) -> Non
         ('backend = "cia402"', 'backend = "cia402"\nnode_id = 200', ["spindle.node_id", "200", "126"]),
         ("exposure = 150", "", ["camera.exposure", "None", "fixed exposure"]),
         ('backend = "cia402"', 'backend = "cia402"\nspeed_rpm = 7e4', ["spindle.max_speed_rpm", "60000", "70000"]),
+        ('backend = "grbl"', 'backend = "acme"', ["motion.backend", "acme", "grbl"]),
+        ('backend = "cia402"', "backend = [1]", ["spindle.backend", "[1]", "cia402"]),
+        ('backend = "cia402"', 'backend = "cia402"\nbitrate = 300000', ["spindle.bitrate", "300000", "250000"]),
+        ('"$100" = 1000.0', '"x-steps" = 1000.0', ["motion.settings.x-steps", "pattern"]),
         ("[camera]", "[camera", ["not TOML", "line"]),
     ],
 )
@@ -56,7 +63,9 @@ def test_a_file_that_is_not_there_names_the_next_step(tmp_path: Path) -> None:
         load_rig(tmp_path / "no-rig.toml")
 
 
-def test_a_third_party_backend_keeps_its_keys(tmp_path: Path) -> None:
+def test_a_third_party_backend_keeps_its_keys(tmp_path: Path, mocker: MockerFixture) -> None:
+    installed = EntryPoint("motion.acme", "acme.mill:Stage", ENTRY_POINT_GROUP)
+    mocker.patch("drivers.backends.entry_points", return_value=[installed])
     rig = load_rig(write(tmp_path, GOOD.replace('backend = "grbl"', 'backend = "acme"\nspeed = 3', 1)))
     assert isinstance(rig.motion, OtherBackend)
     assert rig.motion.model_dump()["speed"] == 3

@@ -18,6 +18,7 @@ from calib.camera_fit import fit_camera_pair
 from cli.config import load_rig
 from drivers.lock import owner_of
 from drivers.motion.grbl.driver import GrblController
+from drivers.motion.serial_line import open_serial
 
 HOLDER = """
 import signal, sys, time
@@ -71,6 +72,64 @@ def test_jog_homes_and_goes_where_it_is_told(bench: Path, capsys: pytest.Capture
     assert capsys.readouterr().out == "idle  tip in {R}: x 20.000  y 5.000  z 15.000 mm\n"
     assert mill("jog", "--rig", str(bench), "--to", "20", "5", "99") == 3
     assert "mill: " in capsys.readouterr().err
+
+
+def test_a_move_before_homing_names_the_next_step(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert mill("jog", "--rig", str(bench), "--by", "0", "0", "1") == 3
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert said.endswith("the position is not trusted; add --home to this command\n")
+
+
+def write_setting(rig_file: Path, line: bytes) -> None:
+    """As somebody does who changes the controller behind mill's back."""
+    port = open_serial(load_rig(rig_file).motion.model_dump()["port"], 115200)
+    try:
+        port.write(line + b"\n")
+        said = b""
+        while not said.endswith(b"ok\r\n"):
+            part = port.read(5.0)
+            assert part, "the board is silent"
+            said += part
+    finally:
+        port.close()
+
+
+def failed_checks(results: Path) -> dict[str, str]:
+    checks = json.loads(results.read_text())["checks"]
+    assert len(checks) > 5, "the other devices are looked at as well"
+    return {check["name"]: check["value"] for check in checks if check["verdict"] == "fail"}
+
+
+def test_doctor_finds_a_controller_that_is_not_set_as_the_rig_file_says(bench: Path, tmp_path: Path) -> None:
+    rig, results = tmp_path / "rig.toml", tmp_path / "doctor.json"
+    rig.write_text(bench.read_text().replace('"$101" = 1000', '"$101" = 800'))
+    assert mill("doctor", "--rig", str(rig), "--no-motion", "--json", str(results)) == 1
+    (name, words), *others = failed_checks(results).items()
+    assert (name, others) == ("motion: answers", [])
+    for part in ("$101", "1000", "800", "[motion.settings]"):
+        assert part in words
+
+
+def test_doctor_finds_soft_limits_off(bench: Path, tmp_path: Path) -> None:
+    rig, results = tmp_path / "rig.toml", tmp_path / "doctor.json"
+    rig.write_text(bench.read_text().replace('"$20" = 1\n', ""))
+    write_setting(bench, b"$20=0")
+    try:
+        assert mill("doctor", "--rig", str(rig), "--no-motion", "--json", str(results)) == 1
+    finally:
+        write_setting(bench, b"$20=1")
+    (name, words), *others = failed_checks(results).items()
+    assert (name, others) == ("motion: answers", [])
+    for part in ("$20", "soft limits on", "write $20=1"):
+        assert part in words
+
+
+def test_doctor_refuses_a_rig_file_that_cannot_be_used(bench: Path, tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(bench.read_text().replace('"$101" = 1000', '"x-steps" = 1000'))
+    assert mill("doctor", "--rig", str(rig), "--json", str(tmp_path / "doctor.json")) == 2
+    assert not (tmp_path / "doctor.json").exists()
 
 
 @pytest.mark.parametrize("manner", ["willing", "stubborn"])
