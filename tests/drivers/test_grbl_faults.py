@@ -192,6 +192,24 @@ def test_a_refused_line_is_named_and_stops_the_queue(on_wire: Wired) -> None:
     controller.flush()
 
 
+def test_a_controller_that_loses_its_power_while_it_is_flushed_is_not_unlocked(on_wire: Wired) -> None:
+    controller, line, _ = on_wire
+    banner = []
+
+    def lock_after_the_banner(text: bytes) -> bytes:
+        banner.extend([text] if b"for help" in text else [])
+        return text.replace(b"<Idle", b"<Alarm") if banner else text
+
+    line.change = lock_after_the_banner
+    with pytest.raises(DeviceFaultError, match="position lost"):
+        controller.flush()
+    assert b"$X" not in line.written
+    line.change = lambda text: text
+    with pytest.raises(DeviceFaultError, match="locked itself"):
+        controller.start_move((20.0, 9.0, 19.0), feed_mm_per_s=5.0)
+    controller.home()
+
+
 def test_an_alarm_in_the_middle_of_anything_latches(on_wire: Wired) -> None:
     controller, line, _ = on_wire
     line.once(b"<", lambda report: b"ALARM:1\r\n" + report)

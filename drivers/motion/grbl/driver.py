@@ -7,7 +7,6 @@ and on 1.1h the bits of ``$10`` without which the controller does not tell how f
 Danger: GRBL has no watchdog. When the host dies, the queue runs out and the machine stops where the queue ends.
 """
 
-import math
 from collections.abc import Mapping
 
 from drivers.clock import Clock
@@ -21,7 +20,7 @@ from drivers.errors import (
     ProtocolError,
 )
 from drivers.motion.grbl import machine, protocol
-from drivers.motion.grbl.codes import HOMING_REQUIRED
+from drivers.motion.grbl.limits import SoftLimits
 from drivers.motion.grbl.queue import BlockQueue
 from drivers.motion.grbl.session import GrblSession
 from drivers.motion.interface import MotionController, MotionState, MotionStatus, Travel, Vector
@@ -41,7 +40,6 @@ _STATES = {
 }
 _DEAD_TIME_GNEA_S = 0.040
 _DEAD_TIME_HAL_S = 0.075
-_STEP_MM = machine.RESOLUTION_MM
 _SETTLE_S = 0.15
 
 
@@ -72,7 +70,6 @@ class GrblController(MotionController):
             ConfigError: a setting is not as the rig file or mill needs it.
         """
         self._clock = clock
-        self._origin_mm = origin_mm
         self._max_feed_mm_per_s = max_feed_mm_per_s
         self._session = GrblSession(line, clock)
         self._session.on_report = self._forget_executed
@@ -82,17 +79,9 @@ class GrblController(MotionController):
         self._planner_blocks = 0
         self._floor_mm: float | None = None
         self._closed = False
-        self._info = protocol.BuildInfo("", "", "", is_hal=False)
         try:
             self._session.reset_and_release(self._session.halts)
-            self._info = self._read_build_info()
-            self._settings = self._read_settings()
-            self._check_expected(expected_settings or {})
-            if (mask := machine.report_mask_to_write(self._settings, self._info)) is not None:
-                self._write_setting(machine.REPORT_MASK, mask)
-            machine.check_required(line.name, self._settings, self._info)
-            self._full_travel_mm = self._settings[machine.FLOOR_SETTING]
-            self._travel = self._read_travel()
+            self._limits = SoftLimits(self._session, origin_mm, expected_settings or {})
             self._planner_blocks = self._session.query().blocks_free or 0
             if self._planner_blocks < 2:
                 raise ProtocolError(
@@ -105,17 +94,17 @@ class GrblController(MotionController):
     @property
     def identity(self) -> str:
         """Firmware, version, and the text that the owner stored with ``$I=``."""
-        return self._info.identity
+        return self._limits.info.identity
 
     @property
     def travel(self) -> Travel:
         """The travel in {R}, after soft limits and floor."""
-        return self._travel
+        return self._limits.travel
 
     @property
     def dead_time_s(self) -> float:
         """Measured from writing a line to the motor's first step."""
-        return _DEAD_TIME_HAL_S if self._info.is_hal else _DEAD_TIME_GNEA_S
+        return _DEAD_TIME_HAL_S if self._limits.info.is_hal else _DEAD_TIME_GNEA_S
 
     def home(self) -> None:
         """Find the switches; releases a fault that was latched before. A floor stays in force."""
@@ -130,7 +119,7 @@ class GrblController(MotionController):
             session.reset_and_release(halts)
         if self._floor_mm is not None:
             # The search for the switches is as long as the travel setting says.
-            self._write_z_travel(self._full_travel_mm)
+            self._write_floor(None)
         self._find_switches()
         if self._floor_mm is not None:
             self._write_floor(self._floor_mm)
@@ -143,10 +132,11 @@ class GrblController(MotionController):
         self._session.check()
         if not self._homed:
             raise NotHomedError(f"{self._session.name}: the position is not trusted; home() first")
-        if not self._travel.contains(target_mm):
+        travel = self._limits.travel
+        if not travel.contains(target_mm):
             raise OutOfTravelError(
                 f"{self._session.name}: target {_shown(target_mm)} mm is outside the travel "
-                f"{_shown(self._travel.low_mm)} to {_shown(self._travel.high_mm)} mm of {{R}}; nothing was sent"
+                f"{_shown(travel.low_mm)} to {_shown(travel.high_mm)} mm of {{R}}; nothing was sent"
             )
         if not 0 < feed_mm_per_s <= self._max_feed_mm_per_s:
             raise ConfigError(
@@ -159,9 +149,9 @@ class GrblController(MotionController):
                 "flush() first; nothing was sent"
             )
         self._wait_for_room()
-        machine_mm = self._machine_mm(target_mm)
+        machine_mm = self._limits.machine_mm(target_mm)
         self._session.command(protocol.move_line(machine_mm, feed_mm_per_s * 60.0))
-        self._queue.add(self._last_report().machine_mm, machine_mm, feed_mm_per_s, self._settings)
+        self._queue.add(self._last_report().machine_mm, machine_mm, feed_mm_per_s, self._limits.settings)
 
     def status(self) -> MotionStatus:
         """A fresh report; with a fault latched the last that the controller gave, as 1.1h falls silent in an alarm."""
@@ -226,6 +216,9 @@ class GrblController(MotionController):
         self._session.check()
         self._forget_queue()
         if self._session.query().state == "Alarm":
+            if self._homed:
+                # A reset at standstill locks nothing, so that this was a power-up in the shade of it.
+                self._session.latch("the controller locked itself during flush()", position_lost=True)
             self._session.command("$X")
         self._session.command(MODAL_LINE)
         self._session.query()
@@ -254,14 +247,10 @@ class GrblController(MotionController):
                 f"{session.name}: a floor can only be written at standstill; wait_until_idle() first"
             )
         was_homed = self._homed
-        if z_mm is None:
-            self._write_z_travel(self._full_travel_mm)
-            self._floor_mm = None
-        else:
-            self._check_floor(z_mm)
-            self._write_floor(z_mm)
-            self._floor_mm = z_mm
-        self._travel = self._read_travel()
+        if z_mm is not None:
+            self._limits.check_floor(z_mm, self._status().position_mm[2] if was_homed else None)
+        self._write_floor(z_mm)
+        self._floor_mm = z_mm
         if was_homed and not self._homed:
             self._find_switches()
         self._session.tolerated_alarm = None
@@ -279,81 +268,19 @@ class GrblController(MotionController):
             if self._floor_mm is not None and not self._session.is_lost:
                 if self._session.fault is not None:
                     self._session.reset_and_release(halts)
-                self._write_z_travel(self._full_travel_mm)
+                self._write_floor(None)
         except ConnectionLostError:
             pass  # There is nobody left to bring to rest.
         finally:
             self._session.close()
 
-    def _read_build_info(self) -> protocol.BuildInfo:
-        replies = self._session.command("$I", 2.0)
-        return protocol.build_info([reply for reply in replies if isinstance(reply, protocol.Feedback)])
-
-    def _read_settings(self) -> dict[int, float]:
-        replies = self._session.command("$$", 3.0)
-        settings = [reply for reply in replies if isinstance(reply, protocol.Setting)]
-        return {setting.number: setting.value for setting in settings if setting.value is not None}
-
-    def _write_setting(self, number: int, value: float) -> None:
-        self._session.command(f"${number}={value:.3f}".rstrip("0").rstrip("."), 2.0)
-        self._settings = self._read_settings()
-        found = self._settings.get(number)
-        if found is None or abs(found - value) > _STEP_MM / 2:
-            raise DeviceFaultError(
-                f"{self._session.name}: setting ${number} was written as {value:g} and reads back as {found}; "
-                "is its memory worn out or write-protected?"
-            )
-
-    def _check_expected(self, expected: Mapping[str, float]) -> None:
-        # The floor of a host that was killed is no reason to refuse; any other difference is, and nothing is written.
-        left_mm = machine.travel_to_restore(self._settings, expected)
-        restored = self._settings if left_mm is None else {**self._settings, machine.FLOOR_SETTING: left_mm}
-        machine.check_expected(self._session.name, restored, expected)
-        if left_mm is not None:
-            self._write_z_travel(left_mm)
-
-    def _span(self, axis: int) -> machine.Span:
-        return machine.span_of(axis, self._settings, self._info)
-
-    def _read_travel(self) -> Travel:
-        x, y, z = (self._span(axis) for axis in range(3))
-        return Travel(self._robot_mm((x.low_mm, y.low_mm, z.low_mm)), self._robot_mm((x.high_mm, y.high_mm, z.high_mm)))
-
-    def _check_floor(self, z_mm: float) -> None:
-        span = machine.span_of(2, {**self._settings, machine.FLOOR_SETTING: self._full_travel_mm}, self._info)
-        if span.homes_low:
-            raise ConfigError(
-                f"{self._session.name}: setting ${machine.HOMING_DIRECTION} lets Z home at its low end, where its "
-                "travel setting moves the coordinates and not the floor; let Z home at the top"
-            )
-        low_mm, high_mm = span.low_mm - self._origin_mm[2], span.high_mm - self._origin_mm[2]
-        if not low_mm <= z_mm < high_mm:
-            raise OutOfTravelError(
-                f"{self._session.name}: floor z = {z_mm:g} mm is outside the travel {low_mm:g} to {high_mm:g} mm; "
-                "nothing was written"
-            )
-        tip_mm = self._status().position_mm[2]
-        if self._homed and tip_mm < z_mm:
-            raise OutOfTravelError(
-                f"{self._session.name}: floor z = {z_mm:g} mm is above the tip at {tip_mm:g} mm; lift first; "
-                "nothing was written"
-            )
-
-    def _write_floor(self, z_mm: float) -> None:
-        # Rounded up: the firmware keeps three decimals, and a floor is never lower than asked.
-        low_mm = math.ceil((z_mm + self._origin_mm[2]) / _STEP_MM - 1e-6) * _STEP_MM
-        self._write_z_travel(round(self._span(2).travel_for(low_mm), 3))
-
-    def _write_z_travel(self, travel_mm: float) -> None:
-        if self._info.is_hal:
-            # It forgets that Z was homed, and locks itself if it is set to insist on homing ($22).
-            self._session.tolerated_alarm = HOMING_REQUIRED
-            self._homed = False
-        self._write_setting(machine.FLOOR_SETTING, travel_mm)
+    def _write_floor(self, z_mm: float | None) -> None:
+        self._homed = self._homed and not self._limits.forgets_homing
+        self._limits.write_floor(z_mm)
 
     def _find_switches(self) -> None:
         try:
-            self._session.command("$H", machine.homing_timeout_s(self._settings))
+            self._session.command("$H", machine.homing_timeout_s(self._limits.settings))
         except DeviceTimeoutError:
             self.halt()
             raise
@@ -432,7 +359,7 @@ class GrblController(MotionController):
         locked = "locked since power-up; home() releases" if report.state == "Alarm" else None
         return MotionStatus(
             state=MotionState.ALARM if fault else self._motion_state(report),
-            position_mm=self._robot_mm(report.machine_mm),
+            position_mm=self._limits.robot_mm(report.machine_mm),
             queued_s=self._queue.duration_s(report.machine_mm, standing=report.state == "Idle"),
             time_s=self._session.report_time_s,
             alarm=fault.words if fault else locked,
@@ -446,14 +373,6 @@ class GrblController(MotionController):
             planned = report.blocks_free is not None and report.blocks_free < self._planner_blocks
             return MotionState.MOVING if planned or self._session.has_unacknowledged else MotionState.IDLE
         return _STATES.get(report.state, MotionState.OTHER)
-
-    def _machine_mm(self, robot_mm: Vector) -> Vector:
-        x, y, z = (round(value + origin, 3) for value, origin in zip(robot_mm, self._origin_mm, strict=True))
-        return (x, y, z)
-
-    def _robot_mm(self, machine_mm: Vector) -> Vector:
-        x, y, z = (round(value - origin, 6) for value, origin in zip(machine_mm, self._origin_mm, strict=True))
-        return (x, y, z)
 
 
 def _shown(point_mm: Vector) -> str:
