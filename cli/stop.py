@@ -4,15 +4,16 @@ import contextlib
 import os
 import re
 import signal
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import click
 
 from cli.config import RigConfig
 from cli.options import rig_option
-from cli.rig import rig_for
+from cli.rig import Rig, rig_for
 from drivers.clock import Clock
-from drivers.device import Device
 from drivers.errors import DeviceError, MillError
 from drivers.lock import can_device, owner_of
 
@@ -28,56 +29,72 @@ def stop(rig: Path | None) -> None:
     """Stop motion and spindle of a rig, whoever runs it.
 
     A mill command that owns the devices is asked to lift and stop, and killed if it does not within 2 s. Then, or when
-    nobody owns them, the spindle and the motion controller are stopped directly. The position may be lost: home next.
+    nobody owns them, the spindle and the motion controller are stopped directly, each without waiting for the other.
+    The position may be lost: home next.
     """
     if rig is None:
         raise click.UsageError("--rig FILE is needed: it names the devices to stop")
+    ways = {"motion": _stop_motion, "spindle": _stop_spindle}
+    failures = []
     with rig_for(rig, emulate=False, specimen=None, seed=0) as bench:
-        _end_owners(_locked_names(bench.config), bench.clock)
-        failures = []
-        for name, opener in (("spindle", bench.open_spindle), ("motion", bench.open_motion)):
-            try:
-                with opener() as device:
-                    _stop(device)
-                click.echo(f"{name}: stopped")
-            except MillError as error:
-                failures.append(f"{name}: {error}")
+        stops: dict[str, Future[None]] = {}
+        with ThreadPoolExecutor(len(ways)) as threads:
+            for name in _as_they_become_free(_lock_names(bench.config), bench.clock):
+                stops[name] = threads.submit(ways[name], bench)
+            for name in ways:
+                try:
+                    stops[name].result()
+                    click.echo(f"{name}: stopped")
+                except MillError as error:
+                    failures.append(f"{name}: {error}")
     if failures:
         raise DeviceError("; ".join(failures) + "; switch the machine off at its emergency stop")
 
 
-def _stop(device: Device) -> None:
-    from drivers.motion.interface import MotionController
-    from drivers.spindle.interface import Spindle
-
-    if isinstance(device, MotionController):
-        device.halt()
-    elif isinstance(device, Spindle):
-        device.stop()
-        device.wait_until_at_speed(timeout_s=5.0)
+def _stop_motion(bench: Rig) -> None:
+    with bench.open_motion() as motion:
+        motion.halt()
 
 
-def _locked_names(config: RigConfig) -> list[str]:
-    """What the locks of spindle and motion are called: ports, or a network interface."""
-    spindle, motion = config.spindle.model_dump(), config.motion.model_dump()
+def _stop_spindle(bench: Rig) -> None:
+    with bench.open_spindle() as spindle:
+        spindle.stop()
+        spindle.wait_until_at_speed(timeout_s=5.0)
+
+
+def _lock_names(config: RigConfig) -> dict[str, str | None]:
+    """What the lock of each device is called: a port, or a network interface; None where a third party knows."""
+    motion, spindle = config.motion.model_dump(), config.spindle.model_dump()
     if spindle.get("interface") == "socketcan":
         spindle["channel"] = can_device(spindle["channel"])
-    return [str(table[key]) for table in (spindle, motion) for key in ("port", "channel") if key in table]
+    tables = {"motion": motion, "spindle": spindle}
+    return {name: table.get("port") or table.get("channel") for name, table in tables.items()}
 
 
-def _end_owners(names: list[str], clock: Clock) -> None:
+def _as_they_become_free(locks: Mapping[str, str | None], clock: Clock) -> Iterator[str]:
+    """End who owns the devices; name each device as soon as nobody does, and at last those that stay owned.
+
+    An owner is asked once, however many of the devices it has: asked again, it would break off its own stopping.
+    """
+    waiting = list(locks)
     for number, words, limit_s in (
         (signal.SIGTERM, "asking pid {} to lift and stop", LIFT_S),
         (signal.SIGKILL, "pid {} does not end: killing it", KILL_S),
     ):
-        for pid in sorted(_owners(names)):
+        for pid in sorted({pid for name in waiting if (pid := _owner(locks[name]))}):
             click.echo(words.format(pid))
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.kill(pid, number)
         deadline_s = clock.now_s() + limit_s
-        while _owners(names) and clock.now_s() < deadline_s:
-            clock.sleep_s(0.02)
+        while waiting and clock.now_s() < deadline_s:
+            free = [name for name in waiting if _owner(locks[name]) is None]
+            waiting = [name for name in waiting if name not in free]
+            yield from free
+            if waiting:
+                clock.sleep_s(0.02)
+    yield from waiting
 
 
-def _owners(names: list[str]) -> set[int]:
-    return {int(found[1]) for name in names if (found := re.match(r"pid (\d+)", owner_of(name) or ""))}
+def _owner(lock: str | None) -> int | None:
+    found = re.match(r"pid (\d+)", owner_of(lock) or "") if lock else None
+    return int(found[1]) if found else None

@@ -1,15 +1,19 @@
 """The commands on real wires: a bench in another process, its rig file, and nothing else that they share."""
 
+import errno
 import json
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import serial
 from mill_command import mill
 from pytest_mock import MockerFixture
 
@@ -19,6 +23,7 @@ from cli.config import load_rig
 from drivers.lock import owner_of
 from drivers.motion.grbl.driver import GrblController
 from drivers.motion.serial_line import open_serial
+from drivers.spindle.cia402 import Cia402Spindle
 
 HOLDER = """
 import signal, sys, time
@@ -146,8 +151,66 @@ def test_stop_ends_who_holds_the_ports_and_stops_both_devices(
     said = capsys.readouterr().out.splitlines()
     asked = [f"asking pid {holder.pid} to lift and stop"]
     killed = [f"pid {holder.pid} does not end: killing it"] if manner == "stubborn" else []
-    assert said == [*asked, *killed, "spindle: stopped", "motion: stopped"]
+    assert said == [*asked, *killed, "motion: stopped", "spindle: stopped"]
     assert owner_of(port) is None
+
+
+@pytest.mark.parametrize(("missing", "present"), [("spindle", "motion"), ("motion", "spindle")])
+def test_stop_of_one_device_waits_for_no_other(
+    bench: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    mocker: MockerFixture,
+    capsys: pytest.CaptureFixture[str],
+    missing: str,
+    present: str,
+) -> None:
+    """The system hangs in opening one port until the other device is stopped, and then says that nobody is there."""
+    tables = load_rig(bench).model_dump()
+    absent = tables[missing].get("port") or tables[missing]["channel"]
+    stopped = threading.Event()
+    device, verb = (GrblController, "halt") if present == "motion" else (Cia402Spindle, "stop")
+    stop, open_port = getattr(device, verb), serial.Serial
+
+    def tell(self: Any) -> None:
+        stop(self)
+        stopped.set()
+
+    def hang(port: str, *words: Any, **choices: Any) -> serial.Serial:
+        if port == absent:
+            assert stopped.wait(20.0), f"{present} was not stopped while {missing} was opened"
+            raise serial.SerialException(errno.EIO, "no answer")
+        return open_port(port, *words, **choices)
+
+    monkeypatch.setattr(device, verb, tell)
+    mocker.patch("serial.Serial", side_effect=hang)
+    assert mill("stop", "--rig", str(bench)) == 3
+    said = capsys.readouterr()
+    assert said.out == f"{present}: stopped\n"
+    assert said.err.count("\n") == 1
+    for part in (f"mill: {missing}: {absent}: cannot be opened", "emergency stop"):
+        assert part in said.err
+
+
+def test_who_holds_the_motion_port_does_not_keep_the_spindle_waiting(
+    bench: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    port = load_rig(bench).motion.model_dump()["port"]
+    monkeypatch.setattr("cli.stop.LIFT_S", 30.0)
+    with subprocess.Popen([sys.executable, "-c", HOLDER, port, "stubborn"], stdout=subprocess.PIPE) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"holding\n"
+        stop, held = Cia402Spindle.stop, []
+
+        def look(self: Cia402Spindle) -> None:
+            held.append(owner_of(port) is not None)
+            holder.kill()
+            stop(self)
+
+        monkeypatch.setattr(Cia402Spindle, "stop", look)
+        assert mill("stop", "--rig", str(bench)) == 0
+    assert held[0]
+    asked = f"asking pid {holder.pid} to lift and stop"
+    assert capsys.readouterr().out.splitlines() == [asked, "motion: stopped", "spindle: stopped"]
 
 
 def calibration_of_another_rig() -> Calibration:

@@ -94,7 +94,7 @@ def test_stop_tries_both_devices_and_names_what_it_could_not_stop(
 ) -> None:
     assert mill("stop", "--rig", str(rig)) == 3
     said = capsys.readouterr().err
-    for part in ("spindle: /dev/mill-spindle", "motion: /dev/mill-motion", "emergency stop"):
+    for part in ("motion: /dev/mill-motion", "spindle: /dev/mill-spindle", "emergency stop"):
         assert part in said
 
 
