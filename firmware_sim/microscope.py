@@ -9,6 +9,7 @@ field that hides behind the drill's rim, interreflection, and water that flows.
 """
 
 import threading
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -27,6 +28,7 @@ from firmware_sim.specimen import Specimen
 Image = npt.NDArray[np.uint8]
 Box = tuple[int, int, int, int]
 Side = Literal["left", "right"]
+EachEye = Callable[[Callable[[int], Image], tuple[int, int]], Iterable[Image]]
 
 FOCUS_DEPTH_MM: Final = -2.5
 SCENE_BLUR_PX_PER_MM: Final = 0.14
@@ -108,14 +110,19 @@ class Microscope:
         """Left and right optics."""
         return self._views[0].eye, self._views[1].eye
 
-    def render(self, time_s: float) -> tuple[Image, Image]:
-        """Left and right picture, (540, 960, 3) uint8 RGB, of the world as it is now, with the noise of ``time_s``."""
+    def render(self, time_s: float, *, each: EachEye = map) -> tuple[Image, Image]:
+        """Left and right picture, (540, 960, 3) uint8 RGB, of the world as it is now, with the noise of ``time_s``.
+
+        ``each`` calls a function for either eye: ``map``, or a thread pool's, for the loops hold no interpreter.
+        """
         with self._busy:
             ball, turned, rpm = self._update()
             frame = round(time_s * 1e5)
-            left, right = (
-                self._picture(view, ball, turned, rpm, frame * 2 + side) for side, view in enumerate(self._views)
-            )
+
+            def picture(side: int) -> Image:
+                return self._picture(self._views[side], ball, turned, rpm, frame * 2 + side)
+
+            left, right = each(picture, (0, 1))
             return left, right
 
     def pour(self, xy_mm: npt.ArrayLike, radius_mm: float, liquid: Liquid) -> None:

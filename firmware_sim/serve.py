@@ -1,7 +1,7 @@
 """One bench in real time, on wires that other processes can open: two ptys and two camera streams.
 
 The boards run in the thread that calls ``run``: every millisecond it takes what the hosts wrote, brings the bench to
-the present and sends what the boards answer. Pictures are drawn in a thread of their own, in compiled code that does
+the present and sends what the boards answer. Pictures are drawn in threads of their own, in compiled code that does
 not hold the interpreter, and only while somebody watches. When this process was kept from running, the bench catches
 up a little at a time and takes the wires' bytes in between; of a long gap (another program held both cores, the
 computer slept) most is left out, so that a drive does not take its own sleep for a silent host.
@@ -14,6 +14,7 @@ import select
 import sys
 import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -62,7 +63,8 @@ class BenchService:
         self._clock = SystemClock() if clock is None else clock
         # First uses compile, and the first picture shades the scene: nobody should wait for that on an open wire.
         _compile(bench.specimen)
-        self._encode(bench.microscope.render(bench.now_s))
+        for picture in bench.microscope.render(bench.now_s):
+            _jpeg(picture)
         bench.truth()
         self._motion = SerialPty()
         self._spindle = SerialPty()
@@ -166,22 +168,15 @@ class BenchService:
     def _stream(self) -> None:
         period_s = 1.0 / self.fps
         due_s = self._clock.now_s()
-        while not self._ending.wait(max(0.0, due_s - self._clock.now_s())):
-            exposed_at_s = self._clock.now_s()
-            due_s = max(due_s + period_s, exposed_at_s)
-            if self._cameras.watched:
-                left, right = self._encode(self.bench.microscope.render(self.bench.now_s))
-                self._cameras.publish(left, right, exposed_at_s)
-
-    @staticmethod
-    def _encode(pictures: tuple[Image, Image]) -> tuple[bytes, bytes]:
-        left, right = (
-            cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[
-                1
-            ].tobytes()
-            for picture in pictures
-        )
-        return left, right
+        # What drawing takes is latency of the stream, so the eyes are drawn side by side.
+        with ThreadPoolExecutor(2, "eye") as eyes:
+            while not self._ending.wait(max(0.0, due_s - self._clock.now_s())):
+                exposed_at_s = self._clock.now_s()
+                due_s = max(due_s + period_s, exposed_at_s)
+                if self._cameras.watched:
+                    pictures = self.bench.microscope.render(self.bench.now_s, each=eyes.map)
+                    left, right = eyes.map(_jpeg, pictures)
+                    self._cameras.publish(left, right, exposed_at_s)
 
     # --- truth
 
@@ -191,6 +186,11 @@ class BenchService:
 
     def _truth(self) -> dict[str, object]:
         return {**self.bench.truth(), "monotonic_s": self._clock.now_s(), "skipped_s": self.skipped_s}
+
+
+def _jpeg(picture: Image) -> bytes:
+    bgr = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+    return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 
 
 def _compile(specimen: Specimen) -> None:
