@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 import click
 
-from cli.options import emulate_option, json_option, rig_option, seed_option, specimen_option
-from cli.output import write_json
+from cli.options import BenchChoice, json_option, on_a_bench
+from cli.output import console_beside, write_json
 from cli.rig import Rig, rig_for
 
 if TYPE_CHECKING:
@@ -25,10 +25,7 @@ def calibration_path(rig_name: str) -> Path:
 
 
 @click.command()
-@rig_option
-@emulate_option
-@specimen_option
-@seed_option
+@on_a_bench
 @json_option
 @click.option("--recipe", type=click.Choice(["default", "paper"]), default="default", show_default=True)
 @click.option("--verify", "only_verify", is_flag=True, help="Check an existing calibration at one setpoint instead.")
@@ -39,10 +36,7 @@ def calibration_path(rig_name: str) -> Path:
     help="Calibration file. [default: calibrations/RIG.toml]",
 )
 def calibrate(
-    rig: Path | None,
-    emulate: bool,
-    specimen: Path | None,
-    seed: int,
+    chosen: BenchChoice,
     json_file: Path | None,
     recipe: str,
     only_verify: bool,
@@ -53,14 +47,12 @@ def calibrate(
     Homes, drives the drill through setpoints in free air, finds its ball in both pictures, and writes a calibration
     file that holds for this rig only. The spindle stays off.
     """
-    from rich.console import Console
-
     from calib.calibration_file import Calibration
     from vision.keypoints import TipFinder
 
-    console = Console(stderr=json_file is not None and str(json_file) == "-")
+    console = console_beside(json_file)
     find_tip = TipFinder.load()
-    with rig_for(rig, emulate=emulate, specimen=specimen, seed=seed) as bench:
+    with rig_for(chosen) as bench:
         path = out or calibration_path(bench.config.name)
         if only_verify:
             Calibration.load(path, None)  # an unusable file is refused before anything moves
@@ -81,9 +73,9 @@ def calibrate(
             if json_file is None:
                 return
             figures = _figures(calibration, path, duration_s)
-            if emulate:
-                figures["truth"] = score(bench, motion, camera, find_tip, calibration, seed)
-            write_json(json_file, "calibrate", seed=seed if emulate else None, **figures)
+            if chosen.emulate:
+                figures["truth"] = score(bench, motion, camera, find_tip, calibration, chosen.seed)
+            write_json(json_file, "calibrate", seed=chosen.drawn_from, **figures)
 
 
 def calibrate_rig(

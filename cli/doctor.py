@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from cli.options import emulate_option, json_option, rig_option, seed_option, specimen_option
-from cli.output import for_people, write_json
+from cli.options import BenchChoice, json_option, on_a_bench
+from cli.output import console_beside, for_people, write_json
 from cli.rig import Rig, rig_for
 from drivers.clock import Clock
 from drivers.errors import ConfigError, DeviceError
@@ -38,27 +38,20 @@ class Check:
 
 
 @click.command()
-@rig_option
-@emulate_option
-@specimen_option
-@seed_option
+@on_a_bench
 @json_option
 @click.option(
     "--no-motion", is_flag=True, help="Leave the axes and the spindle still; measure only what needs neither."
 )
-def doctor(
-    rig: Path | None, emulate: bool, specimen: Path | None, seed: int, json_file: Path | None, no_motion: bool
-) -> None:
+def doctor(chosen: BenchChoice, json_file: Path | None, no_motion: bool) -> None:
     """Open, identify, read back and measure each device of a rig.
 
     The axes home, rise to the park position and move a few mm in the air there; the spindle turns for some seconds.
     Exits 0 only if every check passes.
     """
-    from rich.console import Console
-
-    console = Console(stderr=json_file is not None and str(json_file) == "-")
+    console = console_beside(json_file)
     checks: list[Check] = []
-    with rig_for(rig, emulate=emulate, specimen=specimen, seed=seed) as bench:
+    with rig_for(chosen) as bench:
         moving = not no_motion
         for check in chain(
             _whole("motion", _motion_checks(bench, moving)),
@@ -70,7 +63,7 @@ def doctor(
     passed = all(check.passed for check in checks)
     if json_file:
         found = [check.to_json() for check in checks]
-        write_json(json_file, "doctor", seed=seed if emulate else None, passed=passed, checks=found)
+        write_json(json_file, "doctor", seed=chosen.drawn_from, passed=passed, checks=found)
     failed = sum(not check.passed for check in checks)
     console.print(
         "[bold green]every check passed[/]" if passed else f"[bold red]{failed} of {len(checks)} checks failed[/]"

@@ -1,5 +1,8 @@
 """Options that several commands share."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 
 import click
@@ -36,3 +39,29 @@ json_option = click.option(
     metavar="FILE",
     help="Write the results as JSON; - for stdout.",
 )
+
+
+@dataclass(frozen=True)
+class BenchChoice:
+    """The bench that a command works on: the devices of a rig file, or a virtual bench."""
+
+    rig_file: Path | None = None
+    emulate: bool = False
+    specimen: Path | None = None
+    seed: int = 0
+
+    @property
+    def drawn_from(self) -> int | None:
+        """The seed that results tell; None on hardware, where nothing is drawn."""
+        return self.seed if self.emulate else None
+
+
+def on_a_bench(command: Callable[..., None]) -> Callable[..., None]:
+    """Add --rig, --emulate, --specimen and --seed; the command gets them as its first argument, a ``BenchChoice``."""
+
+    @wraps(command)
+    def with_choice(rig: Path | None, emulate: bool, specimen: Path | None, seed: int, **others: object) -> None:
+        command(BenchChoice(rig, emulate, specimen, seed), **others)
+
+    # The last one added is the first that the help shows.
+    return rig_option(emulate_option(specimen_option(seed_option(with_choice))))

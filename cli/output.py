@@ -4,11 +4,14 @@ import json
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from drivers.errors import ConfigError, MillError
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 def write_json(path: Path, command: str, *, seed: int | None, **figures: Any) -> None:
@@ -22,6 +25,13 @@ def write_json(path: Path, command: str, *, seed: int | None, **figures: Any) ->
         path.write_text(text + "\n", encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: cannot write the results: {error.strerror}; name another --json file") from None
+
+
+def console_beside(json_file: Path | None) -> "Console":
+    """Where people read on: stdout, unless that is for machines alone."""
+    from rich.console import Console
+
+    return Console(stderr=json_file is not None and str(json_file) == "-")
 
 
 def one_line(text: str) -> str:

@@ -16,6 +16,7 @@ from typing import Any, Protocol, cast
 import click
 
 from cli.config import Cia402SpindleTable, GrblMotion, OpenCvCamera, OtherBackend, RigConfig, load_rig
+from cli.options import BenchChoice
 from drivers.backends import load_backend
 from drivers.camera.interface import StereoCamera
 from drivers.clock import Clock, SystemClock
@@ -165,21 +166,21 @@ def open_opencv(table: OpenCvCamera, clock: Clock) -> StereoCamera:
 
 
 @contextlib.contextmanager
-def rig_for(rig_file: Path | None, *, emulate: bool, specimen: Path | None, seed: int) -> Iterator[Rig]:
+def rig_for(chosen: BenchChoice) -> Iterator[Rig]:
     """The rig of a file, or a virtual bench that lives as long as the with-statement.
 
     Raises:
         click.UsageError: neither or both were asked for.
         ConfigError: a file that cannot be used; nothing was opened.
     """
-    if emulate == (rig_file is not None):
+    if chosen.emulate == (chosen.rig_file is not None):
         raise click.UsageError("give either --emulate (a virtual bench) or --rig FILE (devices)")
-    if rig_file is not None:
-        if specimen is not None:
+    if chosen.rig_file is not None:
+        if chosen.specimen is not None:
             raise click.UsageError("--specimen belongs to --emulate; with --rig the specimen is what lies on the bench")
-        yield WiredRig(load_rig(rig_file), SystemClock())
+        yield WiredRig(load_rig(chosen.rig_file), SystemClock())
         return
-    with _served_bench(specimen, seed) as rig:
+    with _served_bench(chosen.specimen, chosen.seed) as rig:
         yield rig
 
 

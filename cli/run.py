@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cli.calibrate import calibrate_rig, calibration_path, rig_identity
-from cli.options import emulate_option, json_option, rig_option, seed_option, specimen_option
-from cli.output import write_json
+from cli.options import BenchChoice, json_option, on_a_bench
+from cli.output import console_beside, write_json
 from cli.rig import Rig, rig_for
 from drivers.errors import ConfigError
 
@@ -22,10 +22,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@rig_option
-@emulate_option
-@specimen_option
-@seed_option
+@on_a_bench
 @json_option
 @click.option("--calibration", type=click.Path(path_type=Path), metavar="FILE", help="[default: calibrations/RIG.toml]")
 @click.option("--policy", type=click.Choice(["default", "paper", "previous"]), help="How to go deeper.")
@@ -37,10 +34,7 @@ if TYPE_CHECKING:
     "--record", type=click.Path(path_type=Path), metavar="DIR", help="Folder of this run's record. [default: runs/DATE]"
 )
 def run(
-    rig: Path | None,
-    emulate: bool,
-    specimen: Path | None,
-    seed: int,
+    chosen: BenchChoice,
     json_file: Path | None,
     calibration: Path | None,
     record: Path | None,
@@ -51,8 +45,6 @@ def run(
     With --emulate and without --calibration, the virtual bench is calibrated first. Ctrl-C lifts the drill, stops the
     spindle and closes the record; a second one stops everything where it stands.
     """
-    from rich.console import Console
-
     from calib.calibration_file import Calibration
     from cli.progress import watched
     from cli.score import Scorer
@@ -63,16 +55,16 @@ def run(
     from vision.completion import CompletionReader
     from vision.keypoints import LandmarkFinder, TipFinder
 
-    console = Console(stderr=json_file is not None and str(json_file) == "-")
+    console = console_beside(json_file)
     tip, landmarks, completion = TipFinder.load(), LandmarkFinder.load(), CompletionReader.load()
     weights = {"tip": tip.sha256, "landmarks": landmarks.sha256, "completion": completion.sha256}
     folder = record or Path("runs") / datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
     if (folder / "events.jsonl").exists():
         raise ConfigError(f"{folder}: holds a run already, which is kept; name another --record folder")
-    with _stop_signals() as stop_requested, rig_for(rig, emulate=emulate, specimen=specimen, seed=seed) as bench:
+    with _stop_signals() as stop_requested, rig_for(chosen) as bench:
         job = Job.from_table(_job_table(bench, choices))
         path = calibration or calibration_path(bench.config.name)
-        known = None if emulate and calibration is None else Calibration.load(path, None, for_milling=True)
+        known = None if chosen.emulate and calibration is None else Calibration.load(path, None, for_milling=True)
         with bench.open_spindle() as spindle, bench.open_camera() as camera, bench.open_motion() as motion:
             identity = rig_identity(bench, motion, camera, spindle.identity)
             if known is None:
@@ -88,8 +80,8 @@ def run(
                 "date": datetime.now(UTC).isoformat(timespec="seconds"),
                 "rig": bench.config.name,
                 "identity": identity.model_dump(),
-                "seed": seed if emulate else None,
-                "specimen": str(specimen) if specimen else None,
+                "seed": chosen.drawn_from,
+                "specimen": str(chosen.specimen) if chosen.specimen else None,
                 "job": asdict(job),
                 "weights": weights,
                 "calibration": _calibration_header(known),
@@ -125,7 +117,7 @@ def run(
         figures = {**result.to_json(), "record": str(folder), "report": str(report)}
         if truth is not None:
             figures["truth"] = truth
-        write_json(json_file, "run", seed=seed if emulate else None, **figures)
+        write_json(json_file, "run", seed=chosen.drawn_from, **figures)
     if result.outcome != "complete":
         raise SystemExit(1)
 

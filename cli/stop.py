@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from cli.config import RigConfig
-from cli.options import rig_option
+from cli.options import BenchChoice, rig_option
 from cli.rig import Rig, rig_for
 from drivers.clock import Clock
 from drivers.errors import DeviceError, MillError
@@ -36,7 +36,7 @@ def stop(rig: Path | None) -> None:
         raise click.UsageError("--rig FILE is needed: it names the devices to stop")
     ways = {"motion": _stop_motion, "spindle": _stop_spindle}
     failures = []
-    with rig_for(rig, emulate=False, specimen=None, seed=0) as bench:
+    with rig_for(BenchChoice(rig)) as bench:
         stops: dict[str, Future[None]] = {}
         with ThreadPoolExecutor(len(ways)) as threads:
             for name in _as_they_become_free(_lock_names(bench.config), bench.clock):
