@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,13 @@ import pytest
 import serial
 from mill_command import mill
 from pytest_mock import MockerFixture
+from served_bench import MILL, line_from, served_bench
 
 from calib.calibration_file import Calibration, RigIdentity
 from calib.camera_fit import fit_camera_pair
 from cli.config import load_rig
+from cli.rig import WiredRig
+from drivers.clock import SystemClock
 from drivers.lock import owner_of
 from drivers.motion.grbl.driver import GrblController
 from drivers.motion.serial_line import open_serial
@@ -41,19 +43,8 @@ time.sleep(60)
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The rig file of a served bench, with the bench's truth beside it."""
-    rig_file = tmp_path_factory.mktemp("bench") / "rig.toml"
-    command = [sys.executable, "-m", "cli.main", "emulate", "--rig-out", str(rig_file), "--until-stdin-closes"]
-    command += ["--truth-out", str(rig_file.with_name("truth.json"))]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as process:
-        try:
-            while not rig_file.is_file():
-                assert process.poll() is None
-                time.sleep(0.05)
-            yield rig_file
-        finally:
-            assert process.stdin is not None
-            process.stdin.close()
-            process.wait(20.0)
+    with served_bench(tmp_path_factory.mktemp("bench")) as served:
+        yield served.rig_file
 
 
 def test_doctor_passes_and_every_check_says_what_it_is(
@@ -248,23 +239,18 @@ def test_a_calibration_of_another_rig_moves_nothing(
 
 
 def test_sigterm_brings_a_moving_jog_to_rest(bench: Path) -> None:
-    def tip_mm() -> list[float]:
-        """Where the tip truly is, some moment after the call."""
-        asked_s = time.monotonic()
-        while (truth := json.loads(bench.with_name("truth.json").read_text()))["monotonic_s"] < asked_s:
-            time.sleep(0.02)
-        return list(truth["tip_mm"])
-
-    jog = [sys.executable, "-m", "cli.main", "jog", "--rig", str(bench), "--home", "--to"]
-    subprocess.run([*jog, "22", "5", "15", "--feed", "20"], check=True, timeout=60)
-    with subprocess.Popen([*jog, "-8", "5", "15", "--feed", "2"], stderr=subprocess.PIPE) as process:
-        while tip_mm()[0] > 21.0:
-            assert process.poll() is None
+    rig = WiredRig(load_rig(bench), SystemClock(), bench.with_name("truth.json"))
+    command = [*MILL, "jog", "--rig", str(bench), "--home", "--to", "-8", "5", "15", "--feed", "2"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, bufsize=0) as process:
+        assert line_from(process.stderr) == "homing\n"
+        assert line_from(process.stderr) == "moving to x -8.000  y 5.000  z 15.000 mm at 2 mm/s\n"
         process.send_signal(signal.SIGTERM)
         said = process.communicate(timeout=20.0)[1]
     assert process.returncode == 130
-    assert said.split() == [b"mill:", b"interrupted"]
-    stopped_mm = tip_mm()
-    assert stopped_mm[0] > 0.0
-    time.sleep(0.3)
-    assert tip_mm() == stopped_mm
+    assert said.strip() == b"mill: interrupted"
+    first, second = rig.truth(), rig.truth()
+    assert first is not None
+    assert second is not None
+    assert first["monotonic_s"] < second["monotonic_s"]
+    assert first["tip_mm"] == second["tip_mm"]
+    assert first["tip_mm"][0] > 0.0
