@@ -1,5 +1,7 @@
 """`mill jog`."""
 
+import math
+
 import click
 
 from cli.options import BenchChoice, on_a_bench
@@ -29,8 +31,8 @@ def jog(
         if home_first:
             click.echo("homing", err=True)
             motion.home()
+        here = motion.status().position_mm
         if step_mm:
-            here = motion.status().position_mm
             target_mm = (here[0] + step_mm[0], here[1] + step_mm[1], here[2] + step_mm[2])
         if target_mm:
             try:
@@ -38,7 +40,7 @@ def jog(
             except NotHomedError as error:
                 raise NotHomedError(f"{str(error).partition(';')[0]}; add --home to this command") from None
             click.echo(f"moving to {_place(target_mm)} at {feed_mm_s:g} mm/s", err=True)
-            motion.wait_until_idle(timeout_s=120.0)
+            motion.wait_until_idle(timeout_s=10.0 + 2.0 * math.dist(here, target_mm) / feed_mm_s)
         status = motion.status()
         click.echo(f"{status.state.value}  tip in {{R}}: {_place(status.position_mm)}")
 
