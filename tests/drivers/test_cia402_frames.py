@@ -10,7 +10,6 @@ from cia402_script import OPENING, STARTING, WATCH, HandClock, ScriptedBus
 from drivers.errors import ConnectionLostError, DeviceFaultError, DeviceTimeoutError, ProtocolError
 from drivers.spindle import emergency
 from drivers.spindle.cia402 import Cia402Spindle
-from drivers.spindle.cia402_profile import DriveState
 
 RUNNING = "080 > 181 27 06 30 75 00 00 64 00"  # target reached, 30000 rpm, 10 % torque
 STANDING = "080 > 181 40 02 00 00 00 00 00 00"
@@ -359,25 +358,6 @@ def test_closing_says_when_standstill_is_not_confirmed() -> None:
     with pytest.raises(DeviceTimeoutError, match="silent"):
         spindle.close()
     assert bus._is_shutdown
-
-
-@pytest.mark.parametrize(
-    ("statusword", "state"),
-    [
-        (0x0000, DriveState.NOT_READY_TO_SWITCH_ON),
-        (0x0250, DriveState.SWITCH_ON_DISABLED),
-        (0x0231, DriveState.READY_TO_SWITCH_ON),
-        (0x0233, DriveState.SWITCHED_ON),
-        (0x1637, DriveState.OPERATION_ENABLED),
-        (0x0217, DriveState.QUICK_STOP_ACTIVE),
-        (0x021F, DriveState.FAULT_REACTION_ACTIVE),
-        (0x0218, DriveState.FAULT),
-        (0xFFA7, DriveState.OPERATION_ENABLED),
-        (0x0001, None),
-    ],
-)
-def test_states_of_the_statusword(statusword: int, state: DriveState | None) -> None:
-    assert DriveState.of(statusword) is state
 
 
 @pytest.mark.parametrize(
