@@ -5,6 +5,9 @@ from dataclasses import dataclass
 
 from drivers.device import Device
 
+LONGEST_SILENCE_S = 0.2
+"""A drive that says nothing for so long while it is asked is silent."""
+
 
 @dataclass(frozen=True)
 class SpindleStatus:
@@ -43,7 +46,7 @@ class Spindle(Device):
 
     @abstractmethod
     def status(self) -> SpindleStatus:
-        """The newest report of the drive, and a sign of life to it. Never waits longer than ``heartbeat_s`` / 2.
+        """The newest report of the drive, and a sign of life to it. Waits ``LONGEST_SILENCE_S`` at most.
 
         Raises:
             DeviceTimeoutError: the drive has been silent for too long.

@@ -4,6 +4,8 @@ from collections import deque
 
 import can
 
+from drivers.spindle.cia402 import Cia402Spindle
+
 Frame = tuple[int, bytes]
 
 
@@ -183,3 +185,23 @@ STARTING = (
 """
 )
 """``start(30000)`` from standstill."""
+
+RUNNING = "080 > 181 27 06 30 75 00 00 64 00"  # target reached, 30000 rpm, 10 % torque
+STANDING = "080 > 181 40 02 00 00 00 00 00 00"
+BEAT = "77F 05"
+
+
+def opened() -> tuple[Cia402Spindle, ScriptedBus, HandClock]:
+    clock = HandClock()
+    bus = ScriptedBus(clock, OPENING)
+    spindle = Cia402Spindle(bus, clock, node_id=1, max_speed_rpm=60_000)
+    assert not bus.rows
+    return spindle, bus, clock
+
+
+def started() -> tuple[Cia402Spindle, ScriptedBus, HandClock]:
+    spindle, bus, clock = opened()
+    bus.play(STARTING, always=BEAT)
+    spindle.start(30_000)
+    bus.play("", always=f"{RUNNING}\n{BEAT}\n201 02 00 00 00 00 00")
+    return spindle, bus, clock
