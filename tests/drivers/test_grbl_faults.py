@@ -1,123 +1,20 @@
-"""The GRBL driver on a bad wire, a wrongly set controller and a full queue; the board is the emulated one."""
+"""The GRBL driver on a bad wire and with a full queue; the board is the emulated one."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
+from grbl_wire import ORIGIN_MM, SETTINGS, BadLine, Bench, Wired, homed
 
 from drivers.errors import (
-    ConfigError,
     ConnectionLostError,
     DeviceFaultError,
     DeviceTimeoutError,
-    OutOfTravelError,
     ProtocolError,
 )
 from drivers.motion.grbl.driver import MAX_BLOCKS, GrblController
-from drivers.motion.interface import MotionState, Vector
+from drivers.motion.interface import MotionState
 from firmware_sim.clock import SimClock
-from firmware_sim.grbl_board import GrblBoard
 from firmware_sim.lines import InProcessLine
-
-ORIGIN_MM: Vector = (-25.0, -10.0, -20.0)
-SETTINGS = {
-    "$10": 3,
-    "$20": 1,
-    "$22": 1,
-    "$24": 600,
-    "$25": 2400,
-    "$26": 5,
-    "$27": 0.5,
-    "$130": 35,
-    "$131": 40,
-    "$132": 28,
-} | {f"${first + axis}": value for first, value in ((100, 1000), (110, 2400), (120, 2000)) for axis in range(3)}
-
-
-class Axes:
-    def __init__(self) -> None:
-        self.axes_mm: Vector = (0.0, 0.0, 0.0)
-        self.x_switch_is_low = False
-        self.unplugged = False
-
-    def move_to(self, time_s: float, axes_mm: Vector) -> None:
-        self.axes_mm = axes_mm
-
-    def limit_switches(self) -> tuple[bool, bool, bool]:
-        x, y, z = self.axes_mm
-        x_pressed = x <= -1.0 if self.x_switch_is_low else x >= 1.0
-        return (x_pressed and not self.unplugged, y >= 1.0, z >= 1.0)
-
-    def probe_closed(self) -> bool:
-        return False
-
-
-class BadLine:
-    """A wire in which a test may change, line by line, what the controller says, and see what it is told."""
-
-    name = "bad:wire"
-
-    def __init__(self, line: InProcessLine) -> None:
-        self._line = line
-        self._rest = b""
-        self.change: Callable[[bytes], bytes] = lambda line: line
-        self.written = b""
-
-    def write(self, data: bytes) -> None:
-        self.written += data
-        self._line.write(data)
-
-    def read(self, timeout_s: float) -> bytes:
-        *lines, self._rest = (self._rest + self._line.read(timeout_s)).split(b"\n")
-        return b"".join(self.change(line + b"\n") for line in lines)
-
-    def close(self) -> None:
-        self._line.close()
-
-    def once(self, start: bytes, change: Callable[[bytes], bytes]) -> None:
-        """Change the next line that starts so."""
-        left = [1]
-
-        def one(line: bytes) -> bytes:
-            if left and line.startswith(start):
-                left.pop()
-                return change(line)
-            return line
-
-        self.change = one
-
-
-class Bench:
-    def __init__(self, dialect: str, settings: dict[str, float]) -> None:
-        self.clock = SimClock()
-        self.axes = Axes()
-        known = {key: value for key, value in settings.items() if dialect == "gnea" or key != "$10"}
-        self.board = GrblBoard(self.axes, dialect=dialect, settings=known)  # type: ignore[arg-type]
-        self.clock.attach(self.board.advance_to)
-
-    def open(self, expected: dict[str, float] | None = None) -> tuple[GrblController, BadLine]:
-        line = BadLine(InProcessLine(self.board, self.clock))
-        controller = GrblController(
-            line, self.clock, origin_mm=ORIGIN_MM, max_feed_mm_per_s=20.0, expected_settings=expected or {}
-        )
-        return controller, line
-
-
-def homed(dialect: str = "gnea") -> tuple[GrblController, BadLine, Bench]:
-    bench = Bench(dialect, SETTINGS)
-    controller, line = bench.open()
-    controller.home()
-    return controller, line, bench
-
-
-@pytest.fixture(params=["gnea", "grblhal"])
-def on_wire(request: pytest.FixtureRequest) -> Iterator[tuple[GrblController, BadLine, Bench]]:
-    controller, line, bench = homed(request.param)
-    yield controller, line, bench
-    line.change = lambda line: line
-    controller.close()
-
-
-Wired = tuple[GrblController, BadLine, Bench]
 
 
 def test_one_broken_report_is_forgiven(on_wire: Wired) -> None:
@@ -142,7 +39,7 @@ def test_two_broken_reports_in_a_row_are_not(on_wire: Wired) -> None:
 
 def test_three_missed_replies_are_a_timeout_and_two_are_not(on_wire: Wired) -> None:
     controller, line, _ = on_wire
-    missed = []
+    missed: list[bytes] = []
 
     def swallow(count: int) -> Callable[[bytes], bytes]:
         def change(text: bytes) -> bytes:
@@ -243,7 +140,7 @@ def test_never_more_than_fourteen_blocks_are_in_flight(on_wire: Wired) -> None:
 def test_a_halt_between_check_and_line_does_not_let_the_line_through(on_wire: Wired) -> None:
     controller, line, bench = on_wire
     before_mm = bench.axes.axes_mm
-    halted = []
+    halted: list[bool] = []
     write = line.write
 
     def halt_just_before_the_line(data: bytes) -> None:
@@ -259,60 +156,6 @@ def test_a_halt_between_check_and_line_does_not_let_the_line_through(on_wire: Wi
         controller.start_move((4.0, 9.0, 19.0), feed_mm_per_s=5.0)
     bench.clock.sleep_s(2.0)
     assert max(abs(now - before) for now, before in zip(bench.axes.axes_mm, before_mm, strict=True)) < 0.05
-
-
-def test_what_the_rig_file_expects_is_compared_and_named() -> None:
-    bench = Bench("gnea", SETTINGS)
-    with pytest.raises(ConfigError, match=r"\$130 is 35, the rig file expects 36"):
-        bench.open({"$132": 28, "$130": 36})
-    with pytest.raises(ConfigError, match=r"no setting \$999"):
-        bench.open({"$999": 1})
-    with pytest.raises(ConfigError, match="'acceleration'"):
-        bench.open({"acceleration": 1})
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "complaint"),
-    [
-        ("$20", 0, r"\$20 is 0.*soft limits.*\$20=1"),
-        ("$22", 0, r"\$22 is 0.*homing.*\$22=1"),
-        ("$13", 1, r"\$13 is 1.*millimetres.*\$13=0"),
-        ("$131", 0, r"\$131 \(Y\) is missing or zero"),
-    ],
-)
-@pytest.mark.parametrize("dialect", ["gnea", "grblhal"])
-def test_a_controller_that_would_not_refuse_is_refused(dialect: str, key: str, value: float, complaint: str) -> None:
-    settings = SETTINGS | {key: value}
-    if key == "$22":
-        settings["$20"] = 0
-    with pytest.raises(ConfigError, match=complaint):
-        Bench(dialect, settings).open()
-
-
-def test_only_gnea_gets_its_report_mask_written_and_only_when_needed() -> None:
-    bench = Bench("gnea", SETTINGS | {"$10": 1})
-    controller, line = bench.open()
-    assert b"$10=3\n" in line.written
-    controller.close()
-    controller, line = bench.open()
-    assert b"$10=" not in line.written
-    controller.close()
-    controller, line = Bench("grblhal", SETTINGS).open()
-    assert b"$10=" not in line.written
-    controller.close()
-
-
-@pytest.mark.parametrize("mask", [0, 2])
-def test_a_controller_that_reports_work_positions_is_put_right_or_refused(mask: int) -> None:
-    controller, line = Bench("gnea", SETTINGS | {"$10": mask}).open()
-    assert b"$10=3\n" in line.written
-    controller.home()
-    controller.close()
-    bench = Bench("grblhal", SETTINGS)
-    bench.board.receive(b"$10=%d\n" % mask)
-    bench.clock.sleep_s(0.1)
-    with pytest.raises(ConfigError, match=rf"\$10 is {mask}.*\$10=3"):
-        bench.open()
 
 
 @pytest.mark.parametrize("dialect", ["gnea", "grblhal"])
@@ -338,75 +181,6 @@ def test_an_alarm_of_1_1h_that_swallows_the_first_reset_is_still_released() -> N
     controller.start_move((24.0, 9.0, 19.0), feed_mm_per_s=5.0)
     assert controller.wait_until_idle(5.0).position_mm == pytest.approx((24.0, 9.0, 19.0), abs=0.0015)
     controller.close()
-
-
-@pytest.mark.parametrize("dialect", ["gnea", "grblhal"])
-def test_a_coarse_machine_with_a_long_travel(dialect: str) -> None:
-    """250 steps/mm and 200 mm: every place within half a step, the floor and both ends of the travel reached."""
-    coarse = {f"${first + axis}": value for first, value in ((100, 250), (130, 200)) for axis in range(3)}
-    bench = Bench(dialect, SETTINGS | coarse)
-    with bench.open(coarse)[0] as controller:
-        controller.home()
-        controller.set_floor(-33.3333)
-        low, high = controller.travel.low_mm, controller.travel.high_mm
-        assert low == pytest.approx((-175.0, -190.0, -33.333), abs=0.001)
-        for target in ((high[0] - 0.5017, high[1] - 0.5, low[2]), (high[0] - 30.0013, high[1] - 7.7777, -5.5555)):
-            controller.start_move(target, feed_mm_per_s=20.0)
-            reached = controller.wait_until_idle(60.0).position_mm
-            assert reached == pytest.approx(target, abs=0.0026)
-        for index in range(30):  # steps shorter than one of the motor's
-            controller.start_move((target[0] + 0.001 * index, *target[1:]), feed_mm_per_s=1.0)
-        assert controller.wait_until_idle(5.0).queued_s == 0.0
-
-
-def test_the_floor_of_a_host_that_was_killed_does_not_stay(on_wire: Wired) -> None:
-    controller, _, bench = on_wire
-    controller.set_floor(0.0)
-    again, line = bench.open({"$132": 28, "$130": 35})
-    assert b"$132=28\n" in line.written
-    again.home()
-    assert again.travel.low_mm[2] == pytest.approx(-8.0)
-    again.set_floor(0.0)
-    with pytest.raises(ConfigError, match=r"\$130 is 35, the rig file expects 36"):
-        bench.open({"$132": 28, "$130": 36})
-    # The refusal wrote nothing.
-    with pytest.raises(ConfigError, match=r"\$132 is 20, the rig file expects 19"):
-        bench.open({"$132": 19, "$130": 35})
-
-
-@pytest.mark.parametrize(("mask", "home_mm"), [(0, -0.5), (1, -34.5)])
-def test_homing_directions(mask: int, home_mm: float) -> None:
-    """The coordinates are negative wherever the switch is ($23), as long as the firmware sets no origin there."""
-    bench = Bench("gnea", SETTINGS | {"$23": mask})
-    bench.axes.x_switch_is_low = bool(mask)
-    controller, _ = bench.open()
-    controller.home()
-    assert controller.status().position_mm[0] + ORIGIN_MM[0] == pytest.approx(home_mm, abs=0.002)
-    assert controller.travel.low_mm == pytest.approx((-10.0, -30.0, -8.0))
-    assert controller.travel.high_mm == pytest.approx((25.0, 10.0, 20.0))
-    controller.close()
-
-
-def test_a_floor_is_refused_where_z_homes_at_the_bottom() -> None:
-    controller, _ = Bench("gnea", SETTINGS | {"$23": 4}).open()
-    with pytest.raises(ConfigError, match=r"\$23"):
-        controller.set_floor(0.0)
-    controller.close()
-
-
-def test_a_floor_above_the_tip_is_refused(on_wire: Wired) -> None:
-    controller, _, _ = on_wire
-    controller.start_move((24.0, 9.0, 12.0), feed_mm_per_s=20.0)
-    controller.wait_until_idle(5.0)
-    with pytest.raises(OutOfTravelError, match="above the tip"):
-        controller.set_floor(13.0)
-
-
-def test_a_setting_that_does_not_read_back_is_told(on_wire: Wired) -> None:
-    controller, line, _ = on_wire
-    line.change = lambda text: b"$132=28.000\r\n" if text.startswith(b"$132=") else text
-    with pytest.raises(DeviceFaultError, match=r"\$132 was written as 20 and reads back as 28"):
-        controller.set_floor(0.0)
 
 
 def test_silence_is_not_taken_for_a_controller() -> None:
