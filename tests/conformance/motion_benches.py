@@ -1,15 +1,13 @@
 """Motion controllers with what hangs on their wires, for the conformance tests."""
 
 import contextlib
-import os
-import select
-import threading
-import time
-import tty
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Literal
+
+from real_time import PtyDevice, in_second_thread, soon
 
 from drivers.clock import Clock, SystemClock
 from drivers.motion.grbl.driver import GrblController
@@ -146,14 +144,7 @@ def in_process_bench(dialect: Dialect) -> Iterator[MotionBench]:
         return grbl(lines[-1], clock)
 
     def during_wait(action: Callable[[], None]) -> None:
-        def in_second_thread() -> None:
-            thread = threading.Thread(target=action)
-            thread.start()
-            # The first thread stands in the middle of a read, so that an action that waits for it never ends.
-            thread.join(5.0)
-            assert not thread.is_alive()
-
-        lines[-1].on_read = in_second_thread
+        lines[-1].on_read = partial(in_second_thread, action)
 
     controller = reopen()
     bench = MotionBench(controller, clock, reopen, wire, axes, board.receive, during_wait, cut=lines[-1].close)
@@ -161,68 +152,21 @@ def in_process_bench(dialect: Dialect) -> Iterator[MotionBench]:
         yield bench
 
 
-class PtyBoard:
-    """The board behind a pty, in real time, on a thread of its own."""
-
-    def __init__(self, board: GrblBoard) -> None:
-        self._board = board
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._master)
-        os.set_blocking(self._master, False)
-        self.path = os.ttyname(self._slave)
-        self.wire = Wire(time.monotonic)
-        self._lock = threading.Lock()
-        self._started_s = time.monotonic()
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._serve)
-        self._thread.start()
-
-    def inject(self, data: bytes) -> None:
-        with self._lock:
-            self._board.receive(data)
-
-    def close(self) -> None:
-        if not self._stop.is_set():
-            self._stop.set()
-            self._thread.join(5.0)
-            os.close(self._slave)
-            os.close(self._master)
-
-    def _serve(self) -> None:
-        while not self._stop.is_set():
-            readable = select.select([self._master], [], [], 0.001)[0]
-            with self._lock:
-                if readable:
-                    data = os.read(self._master, 4096)
-                    self.wire.hear(data)
-                    self._board.advance_to(time.monotonic() - self._started_s)
-                    self._board.receive(data)
-                self._board.advance_to(time.monotonic() - self._started_s)
-                if out := self._board.transmit():
-                    os.write(self._master, out)
-
-
 @contextlib.contextmanager
 def pty_bench(dialect: Dialect) -> Iterator[MotionBench]:
     """The board behind a pty and pyserial, in real time."""
     axes = Axes()
     clock = SystemClock()
-    threads: list[threading.Thread] = []
-    with contextlib.closing(PtyBoard(GrblBoard(axes, dialect=dialect, settings=settings_for(dialect)))) as board:
+    wire = Wire(clock.now_s)
+    board = PtyDevice(GrblBoard(axes, dialect=dialect, settings=settings_for(dialect)), wire.hear)
+    with contextlib.closing(board), soon(0.1) as during_wait:
 
         def reopen() -> MotionController:
             return grbl(open_serial(board.path, 115_200), clock)
 
-        def during_wait(action: Callable[[], None]) -> None:
-            threads.append(threading.Timer(0.1, action))
-            threads[-1].start()
-
         controller = reopen()
-        bench = MotionBench(controller, clock, reopen, board.wire, axes, board.inject, during_wait, cut=board.close)
         with contextlib.closing(controller):
-            yield bench
-        for thread in threads:
-            thread.join(5.0)
+            yield MotionBench(controller, clock, reopen, wire, axes, board.inject, during_wait, cut=board.close)
 
 
 @contextlib.contextmanager
@@ -233,20 +177,12 @@ def rig_file_bench(rig_file: Path) -> Iterator[MotionBench]:
 
     clock = SystemClock()
     rig = WiredRig(load_rig(rig_file), clock)
-    threads: list[threading.Thread] = []
-
-    def during_wait(action: Callable[[], None]) -> None:
-        threads.append(threading.Timer(0.1, action))
-        threads[-1].start()
 
     def not_here(*_: object) -> None:
         raise AssertionError("a test that looks at the wire asks for motion_wire_bench")
 
     controller = rig.open_motion()
-    bench = MotionBench(
-        controller, clock, rig.open_motion, Wire(clock.now_s), Axes(), not_here, during_wait, cut=not_here
-    )
-    with contextlib.closing(controller):
-        yield bench
-    for thread in threads:
-        thread.join(5.0)
+    with contextlib.closing(controller), soon(0.1) as during_wait:
+        yield MotionBench(
+            controller, clock, rig.open_motion, Wire(clock.now_s), Axes(), not_here, during_wait, cut=not_here
+        )

@@ -1,16 +1,12 @@
 """Spindles with what hangs on their wires, for the conformance tests."""
 
 import contextlib
-import os
-import select
-import threading
-import time
-import tty
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import can
+from real_time import PtyDevice, in_second_thread, soon
 
 from drivers.clock import Clock, SystemClock
 from drivers.spindle.canbus import SlcanBus, open_bus
@@ -101,11 +97,7 @@ def in_process_bench(*, lawicel: bool) -> Iterator[SpindleBench]:
 
         def once(timeout: float | None = None) -> can.Message | None:
             bus.recv = recv  # type: ignore[method-assign]
-            thread = threading.Thread(target=action)
-            thread.start()
-            # The first thread stands in the middle of a read, so that an action that waits for it never ends.
-            thread.join(5.0)
-            assert not thread.is_alive()
+            in_second_thread(action)
             return recv(timeout)
 
         bus.recv = once  # type: ignore[method-assign]
@@ -116,54 +108,18 @@ def in_process_bench(*, lawicel: bool) -> Iterator[SpindleBench]:
 
 
 @contextlib.contextmanager
-def pty_adapter(adapter: SlcanAdapter) -> Iterator[str]:
-    """The adapter behind a pty, in real time, on a thread of its own."""
-    master, slave = os.openpty()
-    tty.setraw(master)
-    os.set_blocking(master, False)
-    over = threading.Event()
-    started_s = time.monotonic()
-
-    def serve() -> None:
-        while not over.is_set():
-            if select.select([master], [], [], 0.001)[0]:
-                adapter.receive(os.read(master, 4096))
-            adapter.advance_to(time.monotonic() - started_s)
-            if out := adapter.transmit():
-                with contextlib.suppress(BlockingIOError):
-                    os.write(master, out)
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
-        yield os.ttyname(slave)
-    finally:
-        over.set()
-        thread.join(5.0)
-        os.close(master)
-        os.close(slave)
-
-
-@contextlib.contextmanager
 def pty_bench() -> Iterator[SpindleBench]:
     """The adapter behind a pty and pyserial, in real time."""
     clock, load = SystemClock(), Load()
     plug = Plug(Cia402Drive(load), clock.now_s)
-    threads: list[threading.Thread] = []
-    with pty_adapter(SlcanAdapter([plug])) as path:
+    with contextlib.closing(PtyDevice(SlcanAdapter([plug]))) as adapter, soon(0.05) as during_wait:
 
         def reopen() -> Spindle:
-            return cia402(open_bus("slcan", path, 1_000_000), clock)
-
-        def during_wait(action: Callable[[], None]) -> None:
-            threads.append(threading.Timer(0.05, action))
-            threads[-1].start()
+            return cia402(open_bus("slcan", adapter.path, 1_000_000), clock)
 
         spindle = reopen()
         with contextlib.closing(spindle):
             yield SpindleBench(spindle, clock, reopen, load, plug, during_wait)
-        for thread in threads:
-            thread.join(5.0)
 
 
 @contextlib.contextmanager
@@ -174,15 +130,7 @@ def rig_file_bench(rig_file: Path) -> Iterator[SpindleBench]:
 
     clock = SystemClock()
     rig = WiredRig(load_rig(rig_file), clock)
-    threads: list[threading.Thread] = []
-
-    def during_wait(action: Callable[[], None]) -> None:
-        threads.append(threading.Timer(0.05, action))
-        threads[-1].start()
-
     spindle = rig.open_spindle()
     plug = Plug(Cia402Drive(Load()), clock.now_s)
-    with contextlib.closing(spindle):
+    with contextlib.closing(spindle), soon(0.05) as during_wait:
         yield SpindleBench(spindle, clock, rig.open_spindle, Load(), plug, during_wait)
-    for thread in threads:
-        thread.join(5.0)
