@@ -225,6 +225,19 @@ def test_the_reader_does_anything_while_a_halt_is_about_to_write_and_when_it_has
         bench.refuses_motion_until_homed()
 
 
+def test_a_hold_before_any_line_of_resume_is_before_it_or_behind_it() -> None:
+    """Nothing moves while a hold is believed to stand."""
+    for place in places_of(resuming(Bench())):
+        bench = Bench()
+        interrupted(resuming(bench), place, bench.controller.hold)
+        bench.clock.sleep_s(0.3)
+        is_held = bench.controller.status().state is MotionState.HELD
+        with pytest.raises(DeviceFaultError, match="a hold stands") if is_held else contextlib.nullcontext():
+            bench.move(-3.0)
+        if not is_held:
+            assert bench.controller.wait_until_idle(5.0).state is MotionState.IDLE
+
+
 def test_an_alarm_before_any_line_of_halt_leaves_the_position_lost() -> None:
     for place in places_of(Bench().controller.halt):
         bench = Bench()

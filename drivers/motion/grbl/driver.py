@@ -199,8 +199,11 @@ class GrblController(MotionController):
         if report.state != "Hold":
             return
         self._session.urgent(protocol.RESUME)
+        if self._held:
+            # hold() from another thread may have been on the wire before.
+            self._session.urgent(protocol.HOLD)
         deadline_s = self._clock.now_s() + 1.0
-        while self._session.query().state == "Hold":
+        while self._session.query().state == "Hold" and not self._held:
             if self._clock.now_s() >= deadline_s:
                 raise DeviceTimeoutError(
                     f"{self._session.name}: the hold still stands 1 s after resume(); is a door or hold input active?"
