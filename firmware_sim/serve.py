@@ -168,13 +168,17 @@ class BenchService:
     def _stream(self) -> None:
         period_s = 1.0 / self.fps
         due_s = self._clock.now_s()
+        shown_s = -1.0
         # What drawing takes is latency of the stream, so the eyes are drawn side by side.
         with ThreadPoolExecutor(2, "eye") as eyes:
             while not self._ending.wait(max(0.0, due_s - self._clock.now_s())):
                 exposed_at_s = self._clock.now_s()
                 due_s = max(due_s + period_s, exposed_at_s)
-                if self._cameras.watched:
-                    pictures = self.bench.microscope.render(self.bench.now_s, each=eyes.map)
+                now_s = self.bench.now_s
+                # A bench that was kept from running shows nothing new: the same picture twice is a frozen camera's.
+                if self._cameras.watched and now_s > shown_s:
+                    shown_s = now_s
+                    pictures = self.bench.microscope.render(now_s, each=eyes.map)
                     left, right = eyes.map(_jpeg, pictures)
                     self._cameras.publish(left, right, exposed_at_s)
 

@@ -122,13 +122,13 @@ class ContactFinder:
         self._torques.append(status.torque_fraction)
 
 
-def measure_idle(hands: Hands, duration_s: float = 0.6) -> Idle:
+def measure_idle(hands: Hands, *, settle_s: float = SETTLE_S, duration_s: float = 0.6) -> Idle:
     """Torque of the drill turning in the air.
 
     Raises:
         SafetyStop: the drive tells too little, or its torque wanders too much to feel bone by.
     """
-    hands.watch(SETTLE_S)
+    hands.watch(settle_s)
     torques: list[float] = []
 
     def hear(status: SpindleStatus) -> None:

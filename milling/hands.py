@@ -8,7 +8,7 @@ from drivers.errors import DeviceError, DeviceTimeoutError, SafetyStop
 from drivers.motion.interface import MotionController, MotionState, MotionStatus, Vector
 from drivers.recorder import Recorder
 from drivers.spindle.interface import Spindle, SpindleStatus
-from milling.permission import Latch, Reaction
+from milling.latch import Latch, Reaction
 
 READ_BACK_MM = 0.02
 LIFT_MM = 0.1

@@ -15,9 +15,15 @@ from statistics import fmean, median, pstdev
 LEAST_SAMPLES = 3
 SETTLED_MM = 0.06
 """Depth below contact from which the load follows the chord: above it, contact's uncertainty rules."""
-COMPLIANCE = 0.6
-"""How far bone gives way under a pass, as a share of what the pass cuts: 20 N/mm at published feed and removal rate.
-Too much here only delays a droop by a pass or two after a pause; too little reads a pause as a breakthrough."""
+COMPLIANCE = 0.8
+"""How far bone gives way under a pass, as a share of what the pass cuts: 16 N/mm at published feed and removal rate."""
+SOFT = 2.0
+"""The same after a long pause, when the bone has sprung back as a whole and the flap hangs by little. Too much here
+delays a droop by a pass or two; too little would read the pause as a breakthrough."""
+LONG_PAUSE = 2
+"""Passes without a bite."""
+ALONE = 0.85
+"""A ratio below this is a droop also where the neighbours take no bite."""
 FLAP_SOFTENING = 1.0
 """How much more it gives way once the flap is free all round."""
 _HISTORY = 8
@@ -81,8 +87,10 @@ class LoadMeter:
         """What the newest pass of each point cut, as far as the spring tells."""
         self._before_mm = [0.0] * n_points
         """The same of the pass before."""
-        self._bitten = [False] * n_points
-        """Whether the pass before took a bite too: the first after a pause tells more of the spring than of bone."""
+        self._bitten = [0] * n_points
+        """Passes in a row that took a bite."""
+        self._paused = [0] * n_points
+        """Passes without a bite before those."""
         self._sound: list[deque[float]] = [deque(maxlen=_HISTORY) for _ in range(n_points)]
 
     def report(self, index: int, torque: float, *, offset: float, speed: float) -> None:
@@ -108,7 +116,8 @@ class LoadMeter:
             depth_mm: (n,) depths of the same.
             freed: share of the ring that is through.
         """
-        compliance = COMPLIANCE * (1.0 + FLAP_SOFTENING * freed)
+        softer = 1.0 + FLAP_SOFTENING * freed
+        compliance = softer * (SOFT if self._paused[index] >= LONG_PAUSE else COMPLIANCE)
         before, after = (index - 1) % self._n, (index + 1) % self._n
         self._before_mm[index] = self._cut_mm[index]
         self._cut_mm[index] = _spring(bite_mm[index], self._before_mm[index], compliance)
@@ -127,18 +136,23 @@ class LoadMeter:
             for _, offset, speed in reports
         )
         if bite_mm[index] <= 0:
-            self._bitten[index] = False
+            self._paused[index] = 1 if self._bitten[index] else self._paused[index] + 1
+            self._bitten[index] = 0
             return None
         if len(torques) < LEAST_SAMPLES or expected <= 0:
             return None
         gain = (sum(torques) - len(torques) * self.idle.mean) / expected
         reference = self._reference(index)
         settled = depth_mm[index] >= SETTLED_MM
-        if settled and depth_mm[index] <= self._sound_depth_mm:
+        # The first passes after a pause tell more of the spring than of the bone.
+        steady = self._bitten[index] >= (2 if self._paused[index] >= LONG_PAUSE else 1)
+        self._bitten[index] += 1
+        if settled and steady and depth_mm[index] <= self._sound_depth_mm:
             self._sound[index].append(gain)
-        steady = self._bitten[index]
-        self._bitten[index] = True
         ratio = gain / reference if settled and steady and reference is not None else None
+        if bite_mm[before] <= 0 and bite_mm[after] <= 0 and ratio is not None and ratio >= ALONE:
+            # A point that bites alone digs a pit, whose flanks are cut too: only a droop of its load is believed.
+            ratio = None
         return Feeling(ratio, self.idle.above(torques, 3.0), len(torques))
 
     def _reference(self, index: int) -> float | None:

@@ -24,8 +24,10 @@ from milling.eyes import RingView, Watch
 from milling.hands import RETRACT_MM, Hands, Interrupted
 from milling.job import Job
 from milling.laps import Laps, Permits
+from milling.latch import Latch, Reaction, reaction_to
+from milling.limits import Limits
 from milling.load import Idle, LoadMeter
-from milling.permission import Latch, Ledger, Limits, PointState, Reaction, reaction_to
+from milling.permission import Ledger, PointState
 from milling.planner import policy_for
 from milling.published import Unguarded
 from milling.result import Outcome, Progress, RunResult
@@ -45,9 +47,13 @@ CLEARANCE_MM = 3.0
 ASIDE_MM = 3.0
 """From the ring's edge to the drill while the ring is looked at: the shank leans away from the ring."""
 LOOK_FRAMES = 4
+IDLE_AGAIN_S = 0.25
+MOST_IDLE_DRIFT = 0.05
 BRIDGE_SHARE = 0.05
 """Of the ring that may still hold the flap: the published criterion of a window. Elsewhere the picture must at least
 show what little bone is left."""
+THIN = 0.9
+"""Completion as the picture estimates it, from which a point may be left undecided."""
 UNDECIDED_SHARE = 0.1
 """Of the ring that may be left to the picture's estimate alone."""
 MOST_IDLE_ROUNDS = 2
@@ -93,6 +99,8 @@ class _Ring:
     """The permits where they are guarded."""
     watch: Watch
     laps: Laps
+    meter: LoadMeter | None
+    """What the spindle feels, where permits are guarded."""
 
 
 @dataclass
@@ -238,7 +246,7 @@ class _Run:
         rig = self.rig
         watch = Watch(rig.camera, self.finders.completion, view, reference, permits, rig.clock, self.recorder)
         laps = Laps(self.hands, watch, permits, meter, self.policy, trajectory, top, self.job, self._tell_lap)
-        return _Ring(trajectory, top, permits, ledger, watch, laps)
+        return _Ring(trajectory, top, permits, ledger, watch, laps, meter)
 
     def _mill(self, ring: _Ring) -> tuple[Outcome, str]:
         idle_rounds, cut_before_mm = 0, -1.0
@@ -261,7 +269,9 @@ class _Run:
             if not ledger.open_points or idle_rounds >= MOST_IDLE_ROUNDS:
                 left = [i for i, point in enumerate(ledger.points) if point.state is not PointState.DONE]
                 names = ", ".join(f"{i + 1} ({ledger.points[i].why})" for i in left)
-                bridges = [i for i in left if ledger.completion(i) < ledger.limits.agrees]
+                bridges = [
+                    i for i in left if ledger.completion(i) < THIN or ledger.shallow_mm(i) > ledger.limits.felt_mm
+                ]
                 n = len(ledger.points)
                 if len(bridges) <= BRIDGE_SHARE * n and len(left) <= UNDECIDED_SHARE * n:
                     return "complete", f"the flap can be lifted, though not every cue says these are through: {names}"
@@ -276,16 +286,30 @@ class _Run:
         z = self.rig.motion.status().position_mm[2]
         high = max(z, float(ring.trajectory.tip_mm[:, 2].max()) + CLEARANCE_MM)
         self._go_high((edge, float(center[1]), high), high)
-        self.hands.watch(0.1)
+        if ring.meter is not None:
+            ring.meter.idle = self._idle_again(ring.meter.idle)
         for _ in range(LOOK_FRAMES):
             self.hands.beat()
             ring.watch.stare(1)
-        for index, point in enumerate(ledger.points):
+        # What the load has said of some is evidence about their neighbours: those first.
+        for index in sorted(range(len(ledger.points)), key=lambda i: not ledger.points[i].load_through):
+            point = ledger.points[index]
             before = point.state
             after = ledger.look(index)
             if after is not before:
                 kind = "reopened" if after is PointState.OPEN else after.value
                 self.recorder.event(kind, point=index + 1, why=point.why, depth_mm=point.cut_mm)
+
+    def _idle_again(self, before: Idle) -> Idle:
+        """The torque of the air now: a drive's zero drifts, and one that does not come back to it feels no bone."""
+        idle = measure_idle(self.hands, settle_s=IDLE_AGAIN_S, duration_s=IDLE_AGAIN_S)
+        self.recorder.event("idle", torque=idle.mean, sigma=idle.sigma)
+        if abs(idle.mean - before.mean) > MOST_IDLE_DRIFT:
+            raise SafetyStop(
+                f"the drill takes {idle.mean:.3f} of rated torque in the air, {before.mean:.3f} before, allowed is a "
+                f"change of {MOST_IDLE_DRIFT:g}: bone cannot be felt; look at drill and chuck"
+            )
+        return idle
 
     def _leave(self) -> None:
         self.hands.lift(RETRACT_MM)

@@ -1,4 +1,4 @@
-"""Who may go deeper: a ledger of evidence per trajectory point, and one latch for the machine.
+"""Who may go deeper: a ledger of evidence per trajectory point.
 
 The default is inverted: no evidence, no descent. Each permission is one bite at one visit of one point, measured from
 that point's own contact, and it needs all of
@@ -8,66 +8,26 @@ that point's own contact, and it needs all of
 - a spindle load above idle at its last biting pass (the contact itself stands for the first bites),
 - depth within the thickness prior and near that of its neighbours.
 
-One cue that says "through" stops the point. A load that droops once, under a picture of bone, is a doubt: the next bite
-is a small one, and a second droop stops. Past the low end of the thickness prior the load must be whole: above idle is
-not enough there. What is stopped goes on only after a look with the drill lifted, and then only by a bounded amount.
+One cue that says "through" stops the point. A load that droops once, under a picture of bone, is a doubt: the next
+bite is a small one, and a second droop stops. Past the low end of the thickness prior load above idle is not enough: it
+must have been weighed against what bone takes. What is stopped goes on only after a look with the drill lifted, and
+only by a bounded amount, in which the other cue has to prove wrong the one that stopped it.
+
+A point is through where the load says so and the picture does not contradict. The picture alone is not believed: thin
+bone, blood and glare look like holes too, and bridges would be left.
 
 Standard library only, no clock, no device: every rule here can be read and tested by itself.
 """
 
 from collections import Counter
 from dataclasses import dataclass, field
-from enum import IntEnum, StrEnum
+from enum import StrEnum
+from math import inf
 
 from drivers.errors import SafetyStop
+from milling.limits import Limits
 
 _ROUNDING_MM = 1e-6
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What the ledger enforces; lengths in mm, load ratios against the bone cut so far.
-
-    Attributes:
-        bite_mm: the deepest bite of one visit.
-        late_bite_mm: the same, once less than ``late_margin_mm`` of bone may remain.
-        thickness_low_mm, thickness_high_mm: the thickness prior.
-        threshold: upper bound of completion that means "through".
-        entry_mm: how deep the contact alone is evidence of bone: its own uncertainty, run-out included.
-        frame_age_s: the oldest newest frame.
-        doubtful_bite_mm: the bite that settles a doubt.
-        newest: the weight of the newest pass in a point's load.
-        prior_slack_mm: how far above the low end of the thickness prior a droop of the load is first believed.
-        droop: a load below this share of what bone takes means "through".
-        whole: past the low end of the prior, and after a doubt, the load must reach this share.
-        neighbour_mm: how much deeper than its shallower neighbour a point may go.
-        reopen_mm: what one look with the drill lifted may give back to a stopped point, beyond what its best
-            estimate of completion leaves.
-        most_reopen_mm: the bound on both together.
-        past_loss_mm: how far all looks together may let a point go past where the load was first lost.
-        agrees: the best estimate of completion that does not contradict a load that says "through".
-        looks: how often a point may be re-opened.
-    """
-
-    bite_mm: float = 0.05
-    late_bite_mm: float = 0.015
-    late_margin_mm: float = 0.1
-    thickness_low_mm: float = 0.25
-    thickness_high_mm: float = 0.6
-    threshold: float = 0.995
-    entry_mm: float = 0.03
-    frame_age_s: float = 0.1
-    doubtful_bite_mm: float = 0.005
-    newest: float = 0.4
-    prior_slack_mm: float = 0.05
-    droop: float = 0.75
-    whole: float = 0.8
-    neighbour_mm: float = 0.05
-    reopen_mm: float = 0.03
-    most_reopen_mm: float = 0.06
-    past_loss_mm: float = 0.02
-    agrees: float = 0.9
-    looks: int = 4
 
 
 class PointState(StrEnum):
@@ -103,9 +63,15 @@ class Point:
     load_ratio: float | None = None
     load_above_idle: bool = False
     doubt: bool = False
+    unheard_mm: float = 0.0
+    """Depth gained since a pass was last weighed."""
     frames_through: int = 0
     picture_through: bool = False
     load_through: bool = False
+    picture_said_mm: float | None = None
+    """Where the picture first said "through"."""
+    on_trial: bool = False
+    """While the load, weighed at every pass, judges a picture that says "through"."""
     state: PointState = PointState.OPEN
     why: str = "no contact yet"
     looks: int = 0
@@ -139,12 +105,13 @@ class Ledger:
         point.seen_at_s = exposed_at_s
         point.upper = upper
         point.completion = max(point.completion, completion) if point.picture_through else completion
+        if point.on_trial:
+            return
         # A re-opened point has its bound from a better look than this one: only a hole that is seen stops it.
         says = upper if point.allowance_mm is None else completion
         point.frames_through = point.frames_through + 1 if says >= self.limits.threshold else 0
         if point.frames_through >= 2 and not point.picture_through:
-            point.picture_through = True
-            self._stop(point, "the picture says through")
+            self._picture_says_through(point)
 
     def felt(self, index: int, *, ratio: float | None, above_idle: bool) -> None:
         """The spindle load of a pass that took a bite here.
@@ -156,25 +123,15 @@ class Ledger:
         """
         point = self.points[index]
         if ratio is not None:
-            # One pass is some eight reports, its ratio spreads by a fifth: only several passes tell bone from a hole.
             before = 1.0 if point.load_ratio is None else point.load_ratio
             # More load than bone takes is no more bone: it must not hide the droop that follows.
             point.load_ratio = before + self.limits.newest * (min(ratio, 1.0) - before)
+            point.unheard_mm = 0.0
         point.load_above_idle = above_idle or point.cut_mm <= self.limits.entry_mm
-        picture_of_bone = point.upper is not None and point.upper < self.limits.threshold
         if not point.load_above_idle:
             self._stop_by_load(point)
-        elif point.load_ratio is not None and point.cut_mm > self.limits.thickness_low_mm - self.limits.prior_slack_mm:
-            late = point.doubt or point.cut_mm > self.limits.thickness_low_mm
-            if point.load_ratio >= (self.limits.whole if late else self.limits.droop):
-                point.doubt = False
-                if picture_of_bone:
-                    # Both cues refute what stopped the point, if it was stopped.
-                    point.allowance_mm = point.load_lost_mm = None
-            elif picture_of_bone and not point.doubt:
-                point.doubt = True
-            else:
-                self._stop_by_load(point)
+        elif ratio is not None and point.cut_mm > self.limits.thickness_low_mm - self.limits.prior_slack_mm:
+            self._weigh(point)
 
     def ask(self, index: int, *, bite_mm: float, now_s: float, frame_at_s: float) -> Grant:
         """How deep the tip may go at this visit. Asking again within one visit never adds to it."""
@@ -202,7 +159,9 @@ class Ledger:
             raise SafetyStop(
                 f"point {index + 1} was cut to {depth_mm:.4f} mm below contact, permitted were {permitted:.4f} mm"
             )
-        point.cut_mm = max(point.cut_mm, depth_mm)
+        if depth_mm > point.cut_mm:
+            point.unheard_mm += depth_mm - point.cut_mm
+            point.cut_mm = depth_mm
 
     def stall(self) -> None:
         """No point got a bite for long: those that are open wait for a look."""
@@ -219,37 +178,22 @@ class Ledger:
         point, limits = self.points[index], self.limits
         if point.state is PointState.DONE:
             return point.state
-        through = point.upper is not None and point.upper >= limits.threshold
+        picture = point.upper is not None and point.upper >= limits.threshold
         # A load that vanishes under a picture of thick bone speaks of the contact or of a ridge beside it, not of holes
-        plausible = point.completion >= limits.agrees
-        if through and point.load_through:
-            self._finish(point, "picture and load agree: through")
-        elif point.load_through and point.looks > 0 and plausible:
-            self._finish(point, "the load said through twice")
-        elif through and point.looks > 0 and point.completion >= limits.threshold:
-            self._finish(point, "the picture says through, bound and best estimate")
+        plausible = picture or point.completion >= limits.agrees
+        if point.load_through and plausible:
+            self._finish(point, "picture and load agree: through" if picture else "the load says through")
         elif point.looks > 0 and plausible and self._below_finished_neighbours(index):
             self._finish(point, "deeper than its finished neighbours, and the picture agrees")
+        elif picture and self._tried(point) and self.shallow_mm(index) <= limits.felt_mm:
+            self._finish(point, "the picture says through all along, and its neighbours were felt to be")
         elif point.looks >= limits.looks:
-            if through or (point.load_through and plausible):
-                self._finish(point, "one cue says through after every look")
-            else:
-                self._stop(point, "no cue says through after every look")
+            self._stop(point, "the cues disagree after every look")
         elif point.state is PointState.STOPPED:
-            # A look that followed no bite (its neighbours kept the point waiting) told nothing new.
-            point.looks += point.cut_mm > point.looked_at_mm
-            point.looked_at_mm = point.cut_mm
-            point.allowance_mm = min(point.cut_mm + self._return_mm(point), limits.thickness_high_mm)
-            if point.load_lost_mm is not None:
-                point.allowance_mm = min(point.allowance_mm, point.load_lost_mm + limits.past_loss_mm)
-            stopped_by_load = point.load_through
-            point.picture_through = point.load_through = False
-            point.frames_through = 0
-            # What stopped the point is what the next bites have to prove wrong; where it was the load, small ones.
-            point.load_above_idle, point.doubt = True, stopped_by_load
-            if not stopped_by_load:
-                point.load_ratio = None
-            point.state, point.why = PointState.OPEN, "re-opened after a look"
+            if limits.felt_mm < self.shallow_mm(index) < inf and not point.doubt:
+                # The neighbours say bone, and the load did as long as it was weighed: the picture is tried anew.
+                point.picture_said_mm, point.unheard_mm = None, 0.0
+            self._reopen(point, picture=picture)
         return point.state
 
     def void(self, index: int) -> None:
@@ -263,6 +207,21 @@ class Ledger:
     def completion(self, index: int) -> float:
         """The newest completion seen."""
         return self.points[index].completion
+
+    def shallow_mm(self, index: int) -> float:
+        """How much shallower a point is than its nearest neighbours on both sides that were felt to be through.
+
+        Between the two the straight line counts; infinite where nothing was felt within a quarter of the ring.
+        """
+        n, felt = len(self.points), []
+        for step in (-1, 1):
+            near = ((far, self.points[(index + step * far) % n]) for far in range(1, n // 4 + 1))
+            felt += [next(((far, p.cut_mm) for far, p in near if p.state is PointState.DONE and p.load_through), None)]
+        sides = [side for side in felt if side is not None]
+        if not sides:
+            return inf
+        depth_mm = sum(cut_mm / far for far, cut_mm in sides) / sum(1 / far for far, _ in sides)
+        return depth_mm - self.points[index].cut_mm
 
     @property
     def through_share(self) -> float:
@@ -308,7 +267,8 @@ class Ledger:
             return self._stop(point, "the allowance of the last look is used up")
         if depth > limits.thickness_high_mm:
             return self._stop(point, "the high end of the thickness prior is reached")
-        if depth > limits.thickness_low_mm and point.load_ratio is None and not reopened:
+        unheard = point.unheard_mm + depth - point.cut_mm
+        if depth > limits.thickness_low_mm and unheard > limits.unheard_mm + _ROUNDING_MM:
             return self._stop(point, "past the low end of the thickness prior, and its load is not known")
         if depth > self._shallower_neighbour_mm(index) + limits.neighbour_mm:
             return no("waits for its neighbours")
@@ -317,7 +277,7 @@ class Ledger:
     def _bite_limit(self, point: Point) -> float:
         limits = self.limits
         if point.doubt:
-            return limits.doubtful_bite_mm
+            return limits.small_bite_mm
         late = point.cut_mm + limits.bite_mm > limits.thickness_low_mm - limits.late_margin_mm
         if point.upper is not None:
             # The picture's share of what bone may remain, taken at the thinnest bone of the prior.
@@ -351,6 +311,72 @@ class Ledger:
             depth > self._shallower_neighbour_mm(index) + self.limits.neighbour_mm
         )
 
+    def _picture_says_through(self, point: Point) -> None:
+        """Stop, or let a load that was weighed just now, and is that of bone, judge the picture."""
+        point.picture_through = True
+        if point.picture_said_mm is None:
+            point.picture_said_mm = point.cut_mm
+        weighed = point.load_ratio is not None and point.unheard_mm < 0.5 * self.limits.unheard_mm
+        deep = point.cut_mm > self.limits.thickness_low_mm - self.limits.prior_slack_mm
+        if point.doubt:
+            self._stop_by_load(point)
+        elif weighed and deep and point.state is PointState.OPEN and point.allowance_mm is None:
+            self._try(point)
+        else:
+            self._stop(point, "the picture says through")
+
+    def _tried(self, point: Point) -> bool:
+        """Whether all trials of what the picture says are used up."""
+        said_mm, limits = point.picture_said_mm, self.limits
+        return said_mm is not None and point.cut_mm > said_mm + limits.trial_mm - limits.late_bite_mm
+
+    def _try(self, point: Point) -> None:
+        """A bounded way on, on which only the load can stop the point."""
+        limits = self.limits
+        assert point.picture_said_mm is not None
+        point.on_trial = True
+        point.allowance_mm = min(point.picture_said_mm + limits.trial_mm, limits.thickness_high_mm)
+
+    def _weigh(self, point: Point) -> None:
+        """What the newest load ratio says of a point deep enough to be through."""
+        limits, load = self.limits, point.load_ratio
+        assert load is not None
+        hole = point.picture_through or (point.upper is not None and point.upper >= limits.threshold)
+        if load >= limits.whole:
+            point.doubt = False
+            if not hole:
+                # Both cues refute what stopped the point, if it was stopped.
+                point.allowance_mm = point.load_lost_mm = point.picture_said_mm = None
+        elif load < limits.droop and (hole or point.doubt):
+            self._stop_by_load(point)
+        elif load < limits.droop:
+            point.doubt = True
+
+    def _reopen(self, point: Point, *, picture: bool) -> None:
+        """Give a bounded amount back to a stopped point, after a look."""
+        limits = self.limits
+        # A look that followed no bite (its neighbours kept the point waiting) told nothing new.
+        point.looks += point.cut_mm > point.looked_at_mm
+        point.looked_at_mm = point.cut_mm
+        if not picture:
+            point.picture_said_mm = None
+        elif point.picture_said_mm is None:
+            point.picture_said_mm = point.cut_mm
+        point.on_trial = False
+        far_mm = point.cut_mm + self._return_mm(point)
+        if point.load_lost_mm is not None:
+            far_mm = min(far_mm, point.load_lost_mm + limits.past_loss_mm)
+        point.allowance_mm = min(far_mm, limits.thickness_high_mm)
+        if picture and not point.load_through:
+            self._try(point)
+        point.load_above_idle, point.doubt = True, point.load_through
+        point.picture_through = picture and point.on_trial
+        point.load_through = False
+        point.frames_through = 0
+        if not picture:
+            point.unheard_mm = 0.0
+        point.state, point.why = PointState.OPEN, "re-opened after a look"
+
     @classmethod
     def _stop_by_load(cls, point: Point) -> None:
         point.load_through = True
@@ -367,38 +393,3 @@ class Ledger:
     @staticmethod
     def _finish(point: Point, why: str) -> None:
         point.state, point.why = PointState.DONE, why
-
-
-class Reaction(IntEnum):
-    """What the machine does about a failure; a later, harder one never softens an earlier one."""
-
-    NONE = 0
-    HOLD = 1
-    """Feed hold, then 50-200 um up: dwelling on the membrane tears it."""
-    RETRACT = 2
-    """At least 1 mm up, confirmed, then the spindle off, confirmed."""
-    KILL = 3
-    """Spindle off and controller reset together; the position is lost."""
-
-
-@dataclass
-class Latch:
-    """The first failure, kept; what comes later may only make the reaction harder."""
-
-    reaction: Reaction = Reaction.NONE
-    reason: str = ""
-
-    def trip(self, reaction: Reaction, reason: str) -> None:
-        """Latch a failure."""
-        if not self.reason:
-            self.reason = reason
-        self.reaction = max(self.reaction, reaction)
-
-
-def reaction_to(error: BaseException) -> Reaction:
-    """The first reaction to an error or to a person's interrupt.
-
-    Retract needs a trusted position and a controller that answers. Only the controller knows, so a retract that
-    it refuses becomes a kill.
-    """
-    return Reaction.HOLD if isinstance(error, SafetyStop) else Reaction.RETRACT

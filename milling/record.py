@@ -9,6 +9,7 @@ A line of ``events.jsonl`` is ``CRC32 JSON\n``: eight hex digits over the JSON's
 given in, and numbers are rounded to the nanometre and microsecond, so that one seed gives the same bytes twice.
 """
 
+import errno
 import json
 import os
 import zlib
@@ -61,6 +62,7 @@ class RunRecorder:
         self._frame_at_s: dict[str, float] = {}
         self._frames = 0
         self._frames_lost = False
+        self._full = False
         self._on_loss = on_loss
         try:
             (folder / "frames").mkdir(parents=True, exist_ok=True)
@@ -71,14 +73,24 @@ class RunRecorder:
         write_atomically(folder / "header.json", {"schema": SCHEMA, **header})
 
     def event(self, kind: str, **fields: Any) -> None:
-        """Append one event; on the disk before this returns where ``kind`` is a change of state."""
-        if self._file is None:
+        """Append one event; on the disk before this returns where ``kind`` is a change of state.
+
+        Raises:
+            OSError: the disk takes no more; only the first time, so that what makes the machine safe is not held up.
+        """
+        if self._file is None or self._full:
             return
         record = {"t": round(self._clock.now_s() - self._start_s, 6), "kind": kind, **_plain(fields)}
         body = json.dumps(record, separators=(",", ":"), allow_nan=False).encode()
-        os.write(self._file, b"%08x %s\n" % (zlib.crc32(body), body))
-        if kind in SYNCED:
-            os.fdatasync(self._file)
+        line = b"%08x %s\n" % (zlib.crc32(body), body)
+        try:
+            if os.write(self._file, line) < len(line):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            if kind in SYNCED:
+                os.fdatasync(self._file)
+        except OSError as error:
+            self._full = True
+            raise OSError(error.errno, error.strerror, str(self.folder / "events.jsonl")) from error
 
     def frame(self, name: str, image: npt.NDArray[np.uint8]) -> None:
         """Keep a picture unless one of this name was kept just now."""
@@ -106,7 +118,8 @@ class RunRecorder:
         """Write the result, and close; a second call does nothing."""
         if self._file is None:
             return
-        os.fdatasync(self._file)
+        if not self._full:
+            os.fdatasync(self._file)
         os.close(self._file)
         self._file = None
         if result is not None:
@@ -147,6 +160,8 @@ def read_run(folder: Path) -> Run:
         lines = (folder / "events.jsonl").read_bytes().split(b"\n")
     except FileNotFoundError as error:
         raise ConfigError(f"{folder}: no run here ({Path(error.filename).name} is missing)") from error
+    except ValueError as error:
+        raise ConfigError(f"{folder}/header.json: {error}; the record is damaged, restore it from a copy") from error
     if header.get("schema") != SCHEMA:
         raise ConfigError(f"{folder}/header.json: schema {header.get('schema')!r}, this version reads {SCHEMA}")
     events: list[dict[str, Any]] = []
@@ -161,10 +176,14 @@ def read_run(folder: Path) -> Run:
             damage = f"events.jsonl line {number}: torn, as a killed process leaves it; the rest is whole"
         else:
             raise ConfigError(
-                f"{folder}/events.jsonl line {number}: the checksum does not match; the record is damaged"
+                f"{folder}/events.jsonl line {number}: the checksum does not match; the record is damaged, "
+                "restore it from a copy"
             )
     result_file = folder / "result.json"
-    result = json.loads(result_file.read_text()) if result_file.exists() else None
+    try:
+        result = json.loads(result_file.read_text()) if result_file.exists() else None
+    except ValueError as error:
+        raise ConfigError(f"{result_file}: {error}; the record is damaged, restore it from a copy") from error
     return Run(folder, header, events, result, damage)
 
 

@@ -116,7 +116,10 @@ class CompletionTask:
         return {"upper_margin": float(np.quantile(short, CAUTION))}
 
     def judge(self, network: Network, data: Data) -> dict[str, float]:
-        """Error, coverage of the bound, its tightness, penetration, visibility and the kerf's box."""
+        """Error, coverage of the bound, its tightness, penetration, visibility and the kerf's box.
+
+        A share of nothing, as on a handful of rings, counts as 1.
+        """
         read = self._read(network, data)
         seen = ~read["hidden"].astype(bool)
         margin = network.constants.get("upper_margin", 0.0)
@@ -126,14 +129,14 @@ class CompletionTask:
         hole, bone, begun = truth >= 0.999, truth <= 0.85, truth >= 0.05
         return {
             "rmse": float(np.sqrt(np.mean((estimate - truth) ** 2))),
-            "mape_from_0.05": float(np.mean(np.abs(estimate - truth)[begun] / truth[begun])),
+            "mape_from_0.05": _mean(np.abs(estimate - truth)[begun] / truth[begun]),
             "upper_bound_coverage": float(np.mean(upper >= truth)),
-            "bite_permitted_up_to_0.85": float(np.mean(upper[bone] < THROUGH)),
-            "penetration_recall": float(np.mean(upper[hole] >= THROUGH)),
-            "penetration_false_alarm": float(np.mean(estimate[bone] >= THROUGH)),
-            "hidden_recall": float(np.mean(covered[~seen])) if (~seen).any() else 1.0,
-            "hidden_false_alarm": float(np.mean(covered[seen])),
-            "kerf_iou": float(np.mean(read["iou"])),
+            "bite_permitted_up_to_0.85": _mean(upper[bone] < THROUGH),
+            "penetration_recall": _mean(upper[hole] >= THROUGH),
+            "penetration_false_alarm": _mean(estimate[bone] >= THROUGH),
+            "hidden_recall": _mean(covered[~seen]),
+            "hidden_false_alarm": _mean(covered[seen]),
+            "kerf_iou": _mean(read["iou"]),
             "rings": float(len(data["crops"])),
         }
 
@@ -194,3 +197,8 @@ def paint_labels(
 def _drifted(picture: npt.NDArray[np.uint8], rng: np.random.Generator) -> npt.NDArray[np.uint8]:
     gain = np.exp(rng.normal(0.0, 0.04) + rng.normal(0.0, 0.02, size=3))
     return np.asarray(cv2.convertScaleAbs(picture * gain[None, None, :].astype(np.float32)), dtype=np.uint8)
+
+
+def _mean(values: npt.ArrayLike) -> float:
+    values = np.asarray(values, dtype=np.float64)
+    return float(values.mean()) if values.size else 1.0

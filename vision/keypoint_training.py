@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from drivers.errors import ConfigError
 from vision.keypoints import WINDOW_CELLS, Keypoint, _Finder
 from vision.networks import CELL_PX, COARSE, CROP_PX, PICTURE_PX, KeypointNet, normalized
 from vision.runtime import Image, Network
@@ -112,6 +113,8 @@ class KeypointTask:
         """``sigma_scale`` makes the normalised error's 68 % quantile what a 2-D Gaussian has."""
         pairs = [(found, truth) for found, truth, seen in self._found(network, data) if seen and found.visible]
         ratios = [np.hypot(f.x_px - t[0], f.y_px - t[1]) / f.sigma_px for f, t in pairs]
+        if not ratios:
+            raise ConfigError("the network finds nothing on the validation pictures; its training was too short")
         return {"sigma_scale": float(np.quantile(ratios, 0.68) / np.sqrt(-2 * np.log(0.32)))}
 
     def judge(self, network: Network, data: Data) -> dict[str, float]:

@@ -71,9 +71,13 @@ def sha256_of(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+TASKS = ("tip", "landmarks", "completion")
+"""What networks are trained for, and the names of the weights that come with mill."""
+
+
 def verify(path: Path) -> str:
     """Check ``path`` against the manifest beside it and return its hash."""
-    task = path.stem
+    task = path.stem if path.stem in TASKS else "TASK"
     remedy = f"restore the file, or train it anew: mill train {task} --out {path}"
     if not path.is_file():
         raise ConfigError(f"{path}: no such weights; {remedy}")

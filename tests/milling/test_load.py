@@ -58,12 +58,25 @@ def test_one_bite_past_the_inner_surface_droops_by_a_quarter() -> None:
     assert 0.7 < last < 0.82
 
 
-def test_a_pause_is_not_a_breakthrough() -> None:
-    bites = [0.013] * 14 + [0.0] * 3 + [0.013] * 6
-    for compliance in (0.0, 0.3, 0.6, 0.8):
+@pytest.mark.parametrize(("paused", "silent"), [(1, 2), (3, 5)])
+def test_a_pause_is_not_a_breakthrough(paused: int, silent: int) -> None:
+    """A long one hides what the next two passes mean, a short one only what the first does."""
+    bites = [0.013] * 14 + [0.0] * paused + [0.013] * 6
+    for compliance in (0.3, 0.6, 0.8, 1.2):
         ratios = passes(meter(), sprung(bites, compliance), bites)
-        assert ratios[14:18] == [None] * 4
-        assert all(ratio is not None and ratio > 0.85 for ratio in ratios[18:])
+        assert ratios[14 : 14 + silent] == [None] * silent
+        assert all(ratio is not None and ratio > 0.85 for ratio in ratios[14 + silent :])
+
+
+def test_a_point_that_bites_alone_is_not_weighed() -> None:
+    """The flanks of the pit that it digs are cut as well."""
+    pit, bites = meter(), [0.013] * 14
+    passes(pit, sprung(bites, 0.6), bites)
+    for offset in np.linspace(-0.4, 0.4, 8):
+        pit.report(1, 0.3, offset=float(offset), speed=1.0)
+    feeling = pit.leave(1, bite_mm=[0.0, 0.013, 0.0], depth_mm=[0.182, 0.195, 0.182])
+    assert feeling is not None
+    assert feeling.ratio is None
 
 
 def test_a_slow_ball_is_not_a_breakthrough() -> None:

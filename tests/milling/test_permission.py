@@ -2,14 +2,19 @@
 
 import ast
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import milling.latch
+import milling.limits
 import milling.permission
 from drivers.errors import ConnectionLostError, SafetyStop
-from milling.permission import Latch, Ledger, Limits, PointState, Reaction, reaction_to
+from milling.latch import Latch, Reaction, reaction_to
+from milling.limits import Limits
+from milling.permission import Ledger, PointState
 
 LIMITS = Limits(neighbour_mm=9.0)
 """These tests dig at one point of a ring; the neighbours' rule has a test of its own."""
@@ -42,11 +47,12 @@ def dig(ledger: Ledger, index: int, to_mm: float) -> float:
     return now_s
 
 
-def test_it_is_standard_library_only() -> None:
-    tree = ast.parse(Path(milling.permission.__file__).read_text())
+@pytest.mark.parametrize("module", [milling.permission, milling.limits, milling.latch])
+def test_it_is_standard_library_only(module: ModuleType) -> None:
+    tree = ast.parse(Path(module.__file__ or "").read_text())
     imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     imported |= {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
-    assert imported == {"collections", "dataclasses", "enum", "drivers.errors"}
+    assert imported <= {"collections", "dataclasses", "enum", "math", "drivers.errors", "milling.limits"}
 
 
 def test_all_evidence_grants_one_bite() -> None:
@@ -149,11 +155,13 @@ def test_a_load_that_is_gone_stops_at_any_depth() -> None:
     assert ledger.points[0].state is PointState.STOPPED
 
 
-def test_one_noisy_pass_is_no_droop() -> None:
+def test_one_noisy_pass_stops_nothing() -> None:
     ledger = touched()
     dig(ledger, 0, LATE_MM)
-    ledger.felt(0, ratio=0.5, above_idle=True)
+    ledger.felt(0, ratio=0.8, above_idle=True)
     assert not ledger.points[0].doubt
+    ledger.felt(0, ratio=0.5, above_idle=True)
+    assert ledger.points[0].state is PointState.OPEN
 
 
 def test_a_droop_under_a_picture_of_bone_is_a_doubt_and_the_next_pass_stops() -> None:
@@ -163,7 +171,7 @@ def test_a_droop_under_a_picture_of_bone_is_a_doubt_and_the_next_pass_stops() ->
     ledger.felt(0, ratio=0.2, above_idle=True)
     assert ledger.points[0].state is PointState.OPEN
     small = ledger.ask(0, bite_mm=0.013, now_s=now_s, frame_at_s=now_s)
-    assert small.depth_mm - before <= LIMITS.doubtful_bite_mm + 1e-9
+    assert small.depth_mm - before <= LIMITS.small_bite_mm + 1e-9
     ledger.passed(0, depth_mm=small.depth_mm, now_s=now_s + 0.1)
     ledger.felt(0, ratio=0.2, above_idle=True)
     assert ledger.points[0].state is PointState.STOPPED
@@ -254,11 +262,18 @@ def test_a_visit_that_is_given_up_leaves_no_permission() -> None:
         ledger.passed(0, depth_mm=0.01, now_s=1.1)
 
 
+def holed(ledger: Ledger, at_s: float) -> None:
+    """Two frames with a hole at point 0."""
+    for after_s in (0.0, 0.05):
+        ledger.seen(0, completion=0.998, upper=1.0, exposed_at_s=at_s + after_s)
+
+
 def stopped_by_picture() -> Ledger:
     ledger = touched()
     dig(ledger, 0, 0.3)
-    for at_s in (1e3, 1e3 + 1):
-        ledger.seen(0, completion=0.9, upper=1.0, exposed_at_s=at_s)
+    for at_s in (900.0, 903.0):
+        visit(ledger, 0, at_s, ratio=None)
+    holed(ledger, 1e3)
     assert ledger.points[0].state is PointState.STOPPED
     return ledger
 
@@ -273,7 +288,32 @@ def test_both_cues_finish_at_a_look_and_done_is_latched() -> None:
     assert not ledger.ask(0, bite_mm=0.01, now_s=2e3, frame_at_s=2e3).deeper
 
 
-def test_a_look_reopens_by_a_bounded_amount_and_not_for_ever() -> None:
+def test_a_load_that_was_weighed_and_is_whole_tries_a_picture_of_a_hole_over_a_bounded_way() -> None:
+    ledger = touched()
+    dig(ledger, 0, 0.3)
+    start, now_s = ledger.cut_mm(0), 1e3
+    holed(ledger, now_s)
+    assert ledger.points[0].on_trial
+    while ledger.points[0].state is PointState.OPEN:
+        now_s += 3.0
+        visit(ledger, 0, now_s, upper=1.0)
+    assert start + 0.02 < ledger.cut_mm(0) <= start + LIMITS.trial_mm + 1e-9
+
+
+def test_a_droop_ends_a_trial_at_once_and_the_look_finishes() -> None:
+    ledger = touched()
+    dig(ledger, 0, 0.3)
+    holed(ledger, 1e3)
+    visit(ledger, 0, 1e3 + 1, upper=1.0, ratio=0.7)
+    assert ledger.points[0].load_through
+    assert ledger.look(0) is PointState.DONE
+
+
+def test_a_load_that_was_not_weighed_tries_nothing() -> None:
+    assert not stopped_by_picture().points[0].on_trial
+
+
+def test_all_trials_together_are_bounded_from_where_the_picture_first_said_through() -> None:
     ledger = stopped_by_picture()
     start, now_s = ledger.cut_mm(0), 2e3
     for _ in range(10):
@@ -281,8 +321,33 @@ def test_a_look_reopens_by_a_bounded_amount_and_not_for_ever() -> None:
         for _ in range(20):
             visit(ledger, 0, now_s, upper=1.0)
             now_s += 3.0
-    assert start + 0.02 < ledger.cut_mm(0) <= start + LIMITS.looks * LIMITS.most_reopen_mm + 1e-9
-    assert ledger.points[0].state is PointState.DONE
+    assert start + 0.02 < ledger.cut_mm(0) <= start + LIMITS.trial_mm + 1e-9
+    assert ledger.points[0].state is not PointState.DONE
+
+
+def test_looks_reopen_by_a_bounded_amount_and_not_for_ever() -> None:
+    ledger = touched()
+    dig(ledger, 0, 0.3)
+    start, now_s = ledger.cut_mm(0), 2e3
+    for _ in range(20):
+        ledger.stall()
+        ledger.look(0)
+        while ledger.points[0].state is PointState.OPEN:
+            now_s += 3.0
+            visit(ledger, 0, now_s, upper=0.99, ratio=None)
+    assert start + 0.02 < ledger.cut_mm(0) <= start + LIMITS.looks * LIMITS.unheard_mm + 1e-9
+    assert ledger.points[0].state is PointState.STOPPED
+
+
+def test_passes_that_cannot_be_weighed_end_soon_past_the_low_end_of_the_prior() -> None:
+    ledger = touched()
+    now_s = dig(ledger, 0, LIMITS.thickness_low_mm + 0.01)
+    start = ledger.cut_mm(0)
+    for _ in range(6):
+        visit(ledger, 0, now_s, ratio=None)
+        now_s += 3.0
+    assert start < ledger.cut_mm(0) <= start + LIMITS.unheard_mm + 1e-9
+    assert ledger.points[0].state is PointState.STOPPED
 
 
 def test_a_load_lost_in_thick_bone_is_never_called_through() -> None:

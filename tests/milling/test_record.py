@@ -111,6 +111,28 @@ def test_a_full_disk_costs_pictures_first_and_says_so(tmp_path: Path, mocker: Mo
     assert [event["kind"] for event in read_run(tmp_path / "run").events] == ["lap"]
 
 
+def test_a_full_disk_is_an_error_once_and_the_record_stays_readable(tmp_path: Path, mocker: MockerFixture) -> None:
+    """Once: what makes the machine safe afterwards tells of it as well, and must not be held up."""
+    recorder = record(tmp_path / "run")
+    recorder.event("lap", lap=1)
+    write = mocker.patch("milling.record.os.write", side_effect=OSError(errno.ENOSPC, "No space left on device"))
+    with pytest.raises(OSError, match=r"events\.jsonl"):
+        recorder.event("lap", lap=2)
+    recorder.event("lap", lap=3)
+    assert write.call_count == 1
+    recorder.close()
+    assert [event["lap"] for event in read_run(tmp_path / "run").events] == [1]
+
+
+@pytest.mark.parametrize("name", ["header.json", "result.json"])
+def test_a_damaged_file_of_the_record_is_named(name: str, tmp_path: Path) -> None:
+    with record(tmp_path / "run") as recorder:
+        recorder.close({"outcome": "held"})
+    (tmp_path / "run" / name).write_text("{")
+    with pytest.raises(ConfigError, match=name):
+        read_run(tmp_path / "run")
+
+
 def test_after_close_nothing_is_written_and_closing_twice_is_fine(tmp_path: Path) -> None:
     recorder = record(tmp_path / "run")
     recorder.close()

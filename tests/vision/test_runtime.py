@@ -44,7 +44,7 @@ def test_missing_weights_name_the_file_and_the_next_step(tmp_path):
 def test_a_changed_byte_is_refused_with_both_hashes(weights):
     good = Network(weights).sha256
     weights.write_bytes(weights.read_bytes()[:-1] + b"?")
-    with pytest.raises(ConfigError, match=f"SHA-256 [0-9a-f]{{64}} found, {good} expected by .*mill train double"):
+    with pytest.raises(ConfigError, match=f"SHA-256 [0-9a-f]{{64}} found, {good} expected by .*mill train TASK --out"):
         Network(weights)
 
 

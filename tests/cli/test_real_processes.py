@@ -1,0 +1,145 @@
+"""Whole commands, each in its own process: one serves a bench on ptys, the others know its rig file and nothing else."""
+
+import contextlib
+import json
+import signal
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from processes import Command, started
+from served_bench import ServedBench, served_bench
+
+from calib.calibration_file import Calibration
+from cli.config import load_rig
+from cli.rig import WiredRig
+from drivers.clock import SystemClock
+from milling.record import Run, read_run
+
+MILLING_S = 240.0
+"""From the start of `mill run` to its first lap, at most; a free machine takes 30 s."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A served bench, its rig file with a short job, and where its calibration lies."""
+
+    bench: ServedBench
+    rig_file: Path
+    calibration: Path
+    calibrate_json: Path
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """Calibrated."""
+    folder = tmp_path_factory.mktemp("bench")
+    with served_bench(folder) as bench:
+        rig = Rig(bench, short_job(bench), folder / "calibration.toml", folder / "calibrate.json")
+        words = ("--rig", str(rig.rig_file), "--out", str(rig.calibration), "--json", str(rig.calibrate_json))
+        with started("calibrate", *words) as calibrate:
+            assert calibrate.end(MILLING_S) == 0, calibrate.said
+            assert calibrate.err == ""
+        yield rig
+
+
+def short_job(bench: ServedBench) -> Path:
+    """The rig file of a bench with a short job, and with a drive that is patient with a busy machine."""
+    text = bench.rig_file.read_text().replace("node_id", "heartbeat_s = 1.0\nnode_id")
+    path = bench.rig_file.with_name("short.toml")
+    path.write_text(f"{text}\n[job]\nn_points = 8\n")
+    return path
+
+
+@contextlib.contextmanager
+def started_run(rig_file: Path, calibration: Path, folder: Path) -> Iterator[Command]:
+    """`mill run` with its record in ``folder``."""
+    words = ("--rig", str(rig_file), "--calibration", str(calibration), "--record", str(folder))
+    with started("run", *words, "--json", str(folder.with_suffix(".json"))) as run:
+        yield run
+
+
+def whole_record(folder: Path, said: str) -> tuple[Run, dict[str, Any]]:
+    """A record that was closed, and its result: nothing is lost and the outcome is the last that happened."""
+    assert (folder / "events.jsonl").is_file(), said
+    record = read_run(folder)
+    assert record.damage is None
+    assert [event["kind"] for event in record.events[-2:]] == ["outcome", "stage"], said
+    assert record.events[-1]["stage"] == "done"
+    assert record.result is not None, said
+    assert record.result["outcome"] == record.events[-2]["outcome"]
+    assert json.loads(folder.with_suffix(".json").read_text())["reason"] == record.result["reason"]
+    assert (folder / "report.html").is_file(), said
+    return record, record.result
+
+
+def test_calibrate_writes_a_calibration_that_may_mill(rig: Rig) -> None:
+    known = Calibration.load(rig.calibration, None, for_milling=True)
+    assert 0.0 < known.rmse_mm < 0.15
+    figures = json.loads(rig.calibrate_json.read_text())
+    assert figures["rmse_mm"] == pytest.approx(known.rmse_mm, abs=1e-6)
+    assert figures["file"] == str(rig.calibration)
+    assert "truth" not in figures, "a rig file does not say that its devices are emulated"
+
+
+def test_ctrl_c_lifts_the_drill_and_closes_the_record(rig: Rig, tmp_path: Path) -> None:
+    clock, folder = SystemClock(), tmp_path / "run"
+    with started_run(rig.rig_file, rig.calibration, folder) as run:
+        run.wait_for_line("mill: ", MILLING_S)
+        asked_s = clock.now_s()
+        run.process.send_signal(signal.SIGINT)
+        run.wait_for_line("done: ", 30.0)
+        took_s = clock.now_s() - asked_s
+        code = run.end(60.0)
+    assert (code, run.err) == (1, ""), run.said
+    assert took_s < 5.0, run.said
+    record, result = whole_record(folder, run.said)
+    assert (result["outcome"], result["reason"]) == ("aborted", "stopped by a person"), run.said
+    latched, *safe = record.events[record.events.index(next(record.of_kind("latched"))) : -2]
+    assert [(event["kind"], event["state"]) for event in safe] == [("state", "lifted"), ("spindle", "off, confirmed")]
+    assert safe[-1]["t"] - latched["t"] < 1.0
+    truth = WiredRig(load_rig(rig.rig_file), clock, rig.bench.truth_file).truth()
+    assert truth is not None
+    *_, milled = record.of_kind("load")
+    assert truth["tip_mm"][2] - milled["tip_mm"][2] > 1.0
+    assert abs(truth["spindle_rpm"]) < 60.0
+    assert truth["membrane_touched"] is False
+
+
+@pytest.mark.parametrize(("manner", "until"), [("killed", "mill: "), ("hung up", "contact: ")])
+def test_a_bench_that_vanishes_ends_the_run(rig: Rig, tmp_path: Path, manner: str, until: str) -> None:
+    """By a kill while it mills, or in good order, its stdin closed, while the drill feels for the bone."""
+    folder = tmp_path / "run"
+    with contextlib.ExitStack() as serving:
+        bench = serving.enter_context(served_bench(tmp_path))
+        with started_run(short_job(bench), rig.calibration, folder) as run:
+            run.wait_for_line(until, MILLING_S)
+            if manner == "killed":
+                bench.process.kill()
+            else:
+                serving.close()
+            code = run.end(60.0)
+    assert (code, run.err) == (1, ""), run.said
+    _, result = whole_record(folder, run.said)
+    assert result["outcome"] in {"held", "aborted"}
+    assert "\n" not in result["reason"]
+    devices = load_rig(bench.rig_file)
+    names = (devices.motion.model_dump()["port"], devices.spindle.model_dump()["channel"], "camera")
+    assert any(name in result["reason"] for name in names), result["reason"]
+
+
+@pytest.mark.long
+def test_a_window_is_milled_from_another_terminal(rig: Rig, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    with started_run(rig.rig_file, rig.calibration, folder) as run:
+        code = run.end(1200.0)
+    assert (code, run.err) == (0, ""), run.said
+    assert "outcome: complete" in run.out
+    _, result = whole_record(folder, run.said)
+    assert result["outcome"] == "complete"
+    truth = WiredRig(load_rig(rig.rig_file), SystemClock(), rig.bench.truth_file).truth()
+    assert truth is not None
+    assert truth["membrane_touched"] is False
+    assert truth["success"] is True
