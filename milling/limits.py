@@ -17,7 +17,6 @@ class Limits:
         threshold: upper bound of completion that means "through".
         entry_mm: how deep the contact alone is evidence of bone: its own uncertainty, run-out included.
         frame_age_s: the oldest newest frame.
-        small_bite_mm: the bite of a point in doubt.
         newest: the weight of the newest pass in a point's load.
         prior_slack_mm: how far above the low end of the thickness prior a droop of the load is first believed.
         droop: a load below this share raises a doubt, and confirms one; under a picture of a hole it confirms that.
@@ -44,7 +43,6 @@ class Limits:
     threshold: float = 0.995
     entry_mm: float = 0.03
     frame_age_s: float = 0.1
-    small_bite_mm: float = 0.006
     newest: float = 0.6
     prior_slack_mm: float = 0.05
     droop: float = 0.85

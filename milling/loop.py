@@ -292,8 +292,7 @@ class _Run:
             self.hands.beat()
             ring.watch.stare(1)
         # What the load has said of some is evidence about their neighbours: those first.
-        for index in sorted(range(len(ledger.points)), key=lambda i: not ledger.points[i].load_through):
-            point = ledger.points[index]
+        for index, point in sorted(enumerate(ledger.points), key=lambda item: not item[1].load_through):
             before = point.state
             after = ledger.look(index)
             if after is not before:

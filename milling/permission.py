@@ -190,9 +190,9 @@ class Ledger:
         elif point.looks >= limits.looks:
             self._stop(point, "the cues disagree after every look")
         elif point.state is PointState.STOPPED:
-            if limits.felt_mm < self.shallow_mm(index) < inf and not point.doubt:
+            if limits.felt_mm < self.shallow_mm(index) < inf and not point.load_through:
                 # The neighbours say bone, and the load did as long as it was weighed: the picture is tried anew.
-                point.picture_said_mm, point.unheard_mm = None, 0.0
+                point.picture_said_mm, point.unheard_mm, point.doubt = None, 0.0, False
             self._reopen(point, picture=picture)
         return point.state
 
@@ -276,8 +276,6 @@ class Ledger:
 
     def _bite_limit(self, point: Point) -> float:
         limits = self.limits
-        if point.doubt:
-            return limits.small_bite_mm
         late = point.cut_mm + limits.bite_mm > limits.thickness_low_mm - limits.late_margin_mm
         if point.upper is not None:
             # The picture's share of what bone may remain, taken at the thinnest bone of the prior.

@@ -70,7 +70,7 @@ class _Bench:
         """Cut a kerf of uneven depth; return the completion at each point of the ring."""
         rng = self._rng
         self.machine.restore_bone()
-        kind = rng.choice(["none", "even", "late", "arc"], p=[0.08, 0.42, 0.38, 0.12])
+        kind = rng.choice(["none", "even", "late", "arc", "bridges"], p=[0.06, 0.34, 0.30, 0.10, 0.20])
         angles = np.arange(len(ring_mm)) * 2 * np.pi / len(ring_mm)
         waves = sum(rng.normal(0.0, 1.0 / k) * np.cos(k * angles + rng.uniform(0, 2 * np.pi)) for k in (1, 2, 3, 5, 8))
         share = {
@@ -80,10 +80,21 @@ class _Bench:
             "arc": np.where(
                 np.cos(angles - rng.uniform(0, 2 * np.pi)) > rng.uniform(-0.8, 0.8), rng.uniform(0, 1.1), 0.0
             ),
+            "bridges": _bridges(angles, rng) + 0.03 * waves,
         }[str(kind)]
         thickness_mm = self.thickness_mm(ring_mm)
         self.machine.carve(ring_mm, np.clip(share * thickness_mm, 0.0, thickness_mm + 0.06))
         return np.asarray(self.machine.completion_at(ring_mm, search_mm=0.06))
+
+
+def _bridges(angles: Array, rng: np.random.Generator) -> Array:
+    """How a run ends: through nearly all round, and some arcs of bone, thick or thin, between holes."""
+    share = np.full(len(angles), 1.0 + rng.uniform(0.0, 0.15))
+    for _ in range(int(rng.integers(1, 4))):
+        away = np.abs((angles - rng.uniform(0, 2 * np.pi) + np.pi) % (2 * np.pi) - np.pi)
+        solid = 1.0 / (1.0 + np.exp((away - rng.uniform(0.1, 0.9)) / rng.uniform(0.04, 0.25)))
+        share -= solid * (share - rng.uniform(0.2, 0.97))
+    return share
 
 
 def tip_samples(specimen: Specimen, rng: np.random.Generator) -> Iterator[Sample]:

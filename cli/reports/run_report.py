@@ -4,6 +4,7 @@ import base64
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,7 @@ def page(run: Run) -> dict[str, Any]:
         "completion": _heat(laps),
         "torque": _torque(run),
         "scene": _scene(run, contacts, points),
-        "stages": [event for event in run.of_kind("stage") if event["stage"] not in ("contact", "mill")],
+        "stages": [next(events) for _, events in itertools.groupby(run.of_kind("stage"), key=itemgetter("stage"))],
         "happenings": [event for event in run.events if event["kind"] in ("latched", "error", "bad_reading")],
     }
 

@@ -167,13 +167,9 @@ def test_one_noisy_pass_stops_nothing() -> None:
 def test_a_droop_under_a_picture_of_bone_is_a_doubt_and_the_next_pass_stops() -> None:
     ledger = touched()
     now_s = dig(ledger, 0, LATE_MM)
-    before = ledger.cut_mm(0)
     ledger.felt(0, ratio=0.2, above_idle=True)
     assert ledger.points[0].state is PointState.OPEN
-    small = ledger.ask(0, bite_mm=0.013, now_s=now_s, frame_at_s=now_s)
-    assert small.depth_mm - before <= LIMITS.small_bite_mm + 1e-9
-    ledger.passed(0, depth_mm=small.depth_mm, now_s=now_s + 0.1)
-    ledger.felt(0, ratio=0.2, above_idle=True)
+    visit(ledger, 0, now_s, ratio=0.2)
     assert ledger.points[0].state is PointState.STOPPED
 
 
