@@ -31,7 +31,8 @@ class Limits:
         trial_mm: how far a point goes on below where the picture first said "through", as long as its load is weighed
             and is that of bone: a hole that the picture sees is felt within 30 um.
         felt_mm: how much shallower than neighbours whose breakthrough was felt a point may be that only the picture
-            calls through.
+            calls through; half of it, shallower than both its neighbours as they were cut.
+        notch_mm: a point so much shallower than both its neighbours is not through, whatever its cues say.
         looks: how often a point may be re-opened.
     """
 
@@ -54,5 +55,6 @@ class Limits:
     past_loss_mm: float = 0.02
     agrees: float = 0.8
     trial_mm: float = 0.07
-    felt_mm: float = 0.05
+    felt_mm: float = 0.04
+    notch_mm: float = 0.05
     looks: int = 6

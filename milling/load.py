@@ -145,13 +145,16 @@ class LoadMeter:
         reference = self._reference(index)
         settled = depth_mm[index] >= SETTLED_MM
         # The first passes after a pause tell more of the spring than of the bone.
-        steady = self._bitten[index] >= (2 if self._paused[index] >= LONG_PAUSE else 1)
+        long = self._paused[index] >= LONG_PAUSE
+        steady = self._bitten[index] >= (2 if long else 1)
         self._bitten[index] += 1
         if settled and steady and depth_mm[index] <= self._sound_depth_mm:
             self._sound[index].append(gain)
         ratio = gain / reference if settled and steady and reference is not None else None
-        if bite_mm[before] <= 0 and bite_mm[after] <= 0 and ratio is not None and ratio >= ALONE:
-            # A point that bites alone digs a pit, whose flanks are cut too: only a droop of its load is believed.
+        alone = bite_mm[before] <= 0 and bite_mm[after] <= 0
+        if alone and ratio is not None and (long or ratio >= ALONE):
+            # A point that bites alone digs a pit, whose flanks are cut too: only a droop of its load is believed, and
+            # not that after a pause.
             ratio = None
         return Feeling(ratio, self.idle.above(torques, 3.0), len(torques))
 

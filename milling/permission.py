@@ -181,18 +181,20 @@ class Ledger:
         picture = point.upper is not None and point.upper >= limits.threshold
         # A load that vanishes under a picture of thick bone speaks of the contact or of a ridge beside it, not of holes
         plausible = picture or point.completion >= limits.agrees
-        if point.load_through and plausible:
+        behind_mm = self._shallower_neighbour_mm(index) - point.cut_mm
+        if point.load_through and plausible and behind_mm <= limits.notch_mm:
             self._finish(point, "picture and load agree: through" if picture else "the load says through")
         elif point.looks > 0 and plausible and self._below_finished_neighbours(index):
             self._finish(point, "deeper than its finished neighbours, and the picture agrees")
-        elif picture and self._tried(point) and self.shallow_mm(index) <= limits.felt_mm:
+        elif picture and self._tried(point) and max(self.shallow_mm(index), 2 * behind_mm) <= limits.felt_mm:
             self._finish(point, "the picture says through all along, and its neighbours were felt to be")
         elif point.looks >= limits.looks:
             self._stop(point, "the cues disagree after every look")
         elif point.state is PointState.STOPPED:
-            if limits.felt_mm < self.shallow_mm(index) < inf and not point.load_through:
-                # The neighbours say bone, and the load did as long as it was weighed: the picture is tried anew.
-                point.picture_said_mm, point.unheard_mm, point.doubt = None, 0.0, False
+            # The load against the neighbours' depth, or the picture against their depth or what was felt there.
+            refuted = behind_mm > limits.notch_mm if point.load_through else 2 * behind_mm > limits.felt_mm
+            if refuted or (limits.felt_mm < self.shallow_mm(index) < inf and not point.load_through):
+                self._forget(point)
             self._reopen(point, picture=picture)
         return point.state
 
@@ -324,9 +326,17 @@ class Ledger:
             self._stop(point, "the picture says through")
 
     def _tried(self, point: Point) -> bool:
-        """Whether all trials of what the picture says are used up."""
+        """Whether a trial of what the picture says is used up, or nothing more can be weighed in it."""
         said_mm, limits = point.picture_said_mm, self.limits
-        return said_mm is not None and point.cut_mm > said_mm + limits.trial_mm - limits.late_bite_mm
+        used_up = said_mm is not None and point.cut_mm > said_mm + limits.trial_mm - limits.late_bite_mm
+        return used_up or (point.looks > 0 and point.unheard_mm > limits.unheard_mm - limits.late_bite_mm)
+
+    @staticmethod
+    def _forget(point: Point) -> None:
+        """Its neighbours were cut, or felt to be through, much deeper: what stopped the point is tried anew."""
+        point.picture_said_mm = point.load_lost_mm = point.load_ratio = None
+        point.load_through = point.doubt = False
+        point.unheard_mm = 0.0
 
     def _try(self, point: Point) -> None:
         """A bounded way on, on which only the load can stop the point."""

@@ -2,7 +2,7 @@
 
     python -m studies.results --out docs/results.md run-0.json run-1.json ...
 
-where each JSON comes from ``mill run --emulate --seed N --json run-N.json``.
+where each JSON comes from ``mill run --emulate --seed N --json run-N.json`` or from ``python -m studies.virtual_runs``.
 """
 
 import argparse
@@ -45,12 +45,24 @@ def page(manifest: dict[str, dict[str, Any]], runs: Sequence[dict[str, Any]]) ->
         lines += [f"### {name}", "", "| figure | value |", "|---|---|"]
         lines += [f"| {figure} | {value:.4g} |" for figure, value in entry["held_out"].items()]
         lines.append("")
+    in_real_time = [run for run in runs if run["command"] == "run"]
+    virtual = [run for run in runs if run["command"] != "run"]
     lines += ["## Whole runs in real time", ""]
     lines += ["`mill run --emulate --seed N --json run-N.json`, default job, one run after the other on two cores.", ""]
+    lines += [*_table(in_real_time), "", "## Whole runs on the virtual clock", ""]
+    how = "the same drivers, networks and loop over in-process wires"
+    lines += [f"`python -m studies.virtual_runs --seeds 0-9 --out DIR`, default job: {how}.", ""]
+    lines += _table(virtual)
+    return "\n".join(lines) + "\n"
+
+
+def _table(runs: Sequence[dict[str, Any]]) -> list[str]:
+    if not runs:
+        return ["None were given."]
     successes = sum(bool(run["truth"]["success"]) and run["outcome"] == "complete" for run in runs)
     low, high = wilson(successes, len(runs))
     touched = sum(bool(run["truth"]["membrane_touched"]) for run in runs)
-    lines += [
+    lines = [
         f"Complete with a free flap and an untouched membrane: {successes} of {len(runs)} "
         f"(95 % Wilson interval {100 * low:.0f}-{100 * high:.0f} %). Membranes touched: {touched}.",
         "",
@@ -64,7 +76,7 @@ def page(manifest: dict[str, dict[str, Any]], runs: Sequence[dict[str, Any]]) ->
             f"| {run['seed']} | {run['outcome']} | {free} | {harm} | {run['milling_time_s']:.0f} "
             f"| {truth['heat_rise_c']:.1f} |"
         )
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def main() -> None:

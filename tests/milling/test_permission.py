@@ -1,6 +1,7 @@
 """The ledger: every rule by itself, and what no sequence of evidence can ever make it do."""
 
 import ast
+import math
 from pathlib import Path
 from types import ModuleType
 
@@ -344,6 +345,61 @@ def test_passes_that_cannot_be_weighed_end_soon_past_the_low_end_of_the_prior() 
         now_s += 3.0
     assert start < ledger.cut_mm(0) <= start + LIMITS.unheard_mm + 1e-9
     assert ledger.points[0].state is PointState.STOPPED
+
+
+def felt_through(ledger: Ledger, index: int, cut_mm: float) -> None:
+    point = ledger.points[index]
+    point.cut_mm, point.load_through, point.state = cut_mm, True, PointState.DONE
+
+
+def tried(cut_mm: float) -> Ledger:
+    """Point 2 of 8 after a whole trial, under a picture that still says "through"."""
+    ledger = touched()
+    point = ledger.points[2]
+    point.cut_mm, point.picture_said_mm, point.state = cut_mm, cut_mm - LIMITS.trial_mm, PointState.STOPPED
+    point.load_ratio = 0.95
+    ledger.seen(2, completion=0.998, upper=1.0, exposed_at_s=1e3)
+    return ledger
+
+
+def test_the_picture_alone_finishes_nothing() -> None:
+    assert tried(0.35).look(2) is PointState.OPEN
+
+
+def test_after_a_trial_the_picture_finishes_beside_points_that_were_felt_to_be_through() -> None:
+    ledger = tried(0.35)
+    felt_through(ledger, 1, 0.38)
+    felt_through(ledger, 4, 0.36)
+    assert ledger.look(2) is PointState.DONE
+
+
+def test_much_deeper_neighbours_refute_the_picture_and_the_trial_begins_anew() -> None:
+    ledger = tried(0.25)
+    felt_through(ledger, 1, 0.38)
+    felt_through(ledger, 4, 0.36)
+    assert ledger.look(2) is PointState.OPEN
+    assert ledger.points[2].picture_said_mm == 0.25
+    assert ledger.points[2].allowance_mm == pytest.approx(0.25 + LIMITS.trial_mm)
+
+
+def test_between_felt_points_the_straight_line_counts() -> None:
+    ledger = tried(0.30)
+    assert ledger.shallow_mm(2) == math.inf
+    felt_through(ledger, 1, 0.40)
+    assert ledger.shallow_mm(2) == pytest.approx(0.10)
+    felt_through(ledger, 4, 0.34)
+    assert ledger.shallow_mm(2) == pytest.approx((2 * 0.40 + 0.34) / 3 - 0.30)
+
+
+def test_a_notch_between_two_deeper_points_is_not_through_whatever_its_cues_say() -> None:
+    for deeper_mm, expected in ((0.04, PointState.DONE), (0.06, PointState.OPEN)):
+        ledger = touched(limits=Limits())
+        for index, cut_mm in ((1, 0.3 + deeper_mm), (2, 0.3), (3, 0.3 + deeper_mm)):
+            ledger.points[index].cut_mm = cut_mm
+        point = ledger.points[2]
+        point.load_through, point.load_lost_mm, point.state = True, 0.3, PointState.STOPPED
+        ledger.seen(2, completion=0.998, upper=1.0, exposed_at_s=1e3)
+        assert ledger.look(2) is expected
 
 
 def test_a_load_lost_in_thick_bone_is_never_called_through() -> None:

@@ -3,6 +3,7 @@
 import pytest
 
 from studies.results import page, wilson
+from studies.virtual_runs import seeds_of
 
 
 def test_wilson_matches_the_published_interval_of_six_of_seven() -> None:
@@ -12,11 +13,17 @@ def test_wilson_matches_the_published_interval_of_six_of_seven() -> None:
 
 def test_a_held_run_is_no_success_even_with_a_free_flap() -> None:
     truth = {"success": True, "flap_free": True, "membrane_touched": False, "heat_rise_c": 8.0}
-    runs = [
-        {"seed": seed, "outcome": outcome, "milling_time_s": 150.0, "truth": truth}
+    runs: list[dict[str, object]] = [
+        {"command": "run", "seed": seed, "outcome": outcome, "milling_time_s": 150.0, "truth": truth}
         for seed, outcome in enumerate(("complete", "held"))
     ]
+    runs.append({**runs[0], "command": "virtual run", "seed": 7})
     text = page({"tip.onnx": {"held_out": {"tip_rmse_px": 0.4}}}, runs)
     assert "1 of 2" in text
+    assert "1 of 1" in text.partition("virtual clock")[2]
     assert "| tip_rmse_px | 0.4 |" in text
     assert "simulation" in text
+
+
+def test_seeds_are_named_by_ranges() -> None:
+    assert seeds_of("0-3,7") == [0, 1, 2, 3, 7]

@@ -1,0 +1,100 @@
+"""Whole runs on the virtual clock: the real drivers, networks and loop over in-process wires, several seeds at once.
+
+    python -m studies.virtual_runs --seeds 0-9 --out DIR
+
+writes ``DIR/run-N.json``, in the form of ``mill run --json``, and the record of each run beside it. What is there
+already is kept, so that a study that was stopped goes on.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from calib import procedure
+from drivers.camera.stereo import StereoPair
+from drivers.motion.grbl.driver import GrblController
+from drivers.spindle.cia402 import Cia402Spindle
+from firmware_sim.bench import ORIGIN_MM, Bench, open_in_process
+from firmware_sim.clock import SimClock
+from firmware_sim.specimen import draw_specimen
+from milling import loop
+from milling.job import Job
+from milling.record import RunRecorder
+from vision.completion import CompletionReader
+from vision.keypoints import LandmarkFinder, TipFinder
+
+FPS = 20.0
+PARK_MM = (23.0, -10.0, 12.0)
+MAX_FEED_MM_S = 20.0
+MAX_SPEED_RPM = 60_000
+SIZE_PX = (960, 540)
+MAX_SKEW_S = 0.02
+
+
+def mill_one(seed: int, folder: Path) -> dict[str, Any]:
+    """Calibrate and mill the specimen of ``seed``; figures as ``mill run --json`` gives them, truth included."""
+    clock, bench = SimClock(), Bench(draw_specimen(seed))
+    line, bus, left, right = open_in_process(bench, clock, fps=FPS)
+    x, y, z = (bench.specimen.tool.ball_radius_mm * along for along in bench.specimen.tool.axis)
+    tip, landmarks, completion = TipFinder.load(), LandmarkFinder.load(), CompletionReader.load()
+    with (
+        closing(GrblController(line, clock, origin_mm=ORIGIN_MM, max_feed_mm_per_s=MAX_FEED_MM_S)) as motion,
+        closing(Cia402Spindle(bus, clock, node_id=1, max_speed_rpm=MAX_SPEED_RPM)) as spindle,
+        closing(StereoPair(left, right, clock, size_px=SIZE_PX, max_skew_s=MAX_SKEW_S)) as camera,
+    ):
+        motion.home()
+        calibration = procedure.calibrate(motion, camera, tip.find, clock=clock, tool_offset_mm=(x, y, z))
+        rig = loop.Rig(motion, spindle, camera, clock, (x, y, z), PARK_MM)
+        finders = loop.Finders(tip.find, landmarks.find, completion)
+        with RunRecorder(folder / f"run-{seed}", {"seed": seed, "clock": "virtual"}, clock) as recorder:
+            result = loop.run(rig, calibration, finders, Job(), recorder)
+            recorder.close(result.to_json())
+    return {
+        "schema": 1,
+        "command": "virtual run",
+        "seed": seed,
+        **result.to_json(),
+        "truth": {key: value for key, value in bench.truth().items() if key not in {"ball_px", "ring"}},
+    }
+
+
+def seeds_of(text: str) -> list[int]:
+    """``0-3,7`` is 0, 1, 2, 3 and 7."""
+    seeds: list[int] = []
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        seeds += range(int(first), int(last or first) + 1)
+    return seeds
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run what is missing, and tell each seed's end as it comes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=seeds_of, required=True, help="such as 0-9 or 0,3,7")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--workers", type=int, default=2)
+    given = parser.parse_args(words)
+    given.out.mkdir(parents=True, exist_ok=True)
+    missing = [seed for seed in given.seeds if not (given.out / f"run-{seed}.json").exists()]
+    with ProcessPoolExecutor(given.workers, max_tasks_per_child=1) as pool:
+        runs = {pool.submit(mill_one, seed, given.out): seed for seed in missing}
+        for done, run in enumerate(as_completed(runs), start=1):
+            figures, file = run.result(), given.out / f"run-{runs[run]}.json"
+            file.write_text(json.dumps(figures), encoding="utf-8")
+            truth = figures["truth"]
+            flap = "free" if truth["flap_free"] else "not free"
+            harm = "TOUCHED" if truth["membrane_touched"] else "untouched"
+            milled = f"{figures['milling_time_s']:.0f} s milling"
+            print(
+                f"{done}/{len(missing)} seed {runs[run]}: {figures['outcome']}, flap {flap}, membrane {harm}, {milled}"
+            )
+            sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
