@@ -24,7 +24,7 @@ ENDING_S = 60.0
 """From there to its end."""
 WINDOW_S = 1500.0
 """From the start of `mill run` to its report."""
-ATTEMPTS = 3
+ATTEMPTS = 6
 LATE = ("silent", "heartbeat stayed away", "no reply", "no fresh frame", "neither taken nor refused")
 """Words of a command that ended because a wire was late."""
 
