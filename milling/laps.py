@@ -22,8 +22,8 @@ from milling.eyes import Watch, Witness
 from milling.hands import LIFT_MM, READ_BACK_MM, Hands
 from milling.job import Job
 from milling.load import LoadMeter
-from milling.permission import Grant
 from milling.planner import Policy
+from milling.point import Grant
 from milling.spline import periodic_spline
 from milling.trajectory import Trajectory
 

@@ -18,6 +18,7 @@ from drivers.camera.interface import Image
 from drivers.errors import CalibrationError, DetectionError, MillError, NotHomedError, PlanError, SafetyStop
 from drivers.motion.interface import Vector
 from drivers.recorder import Recorder
+from milling.conclusion import conclude
 from milling.contact import ContactFinder, measure_idle
 from milling.equipment import Finders, Rig
 from milling.eyes import RingView, Watch
@@ -27,8 +28,9 @@ from milling.laps import Laps, Permits
 from milling.latch import Latch, Reaction, reaction_to
 from milling.limits import Limits
 from milling.load import Idle, LoadMeter
-from milling.permission import Ledger, PointState
+from milling.permission import Ledger
 from milling.planner import policy_for
+from milling.point import PointState
 from milling.published import Unguarded
 from milling.result import Outcome, Progress, RunResult
 from milling.survey import survey, verify_calibration
@@ -49,13 +51,6 @@ ASIDE_MM = 3.0
 LOOK_FRAMES = 4
 IDLE_AGAIN_S = 0.25
 MOST_IDLE_DRIFT = 0.05
-BRIDGE_SHARE = 0.05
-"""Of the ring that may still hold the flap: the published criterion of a window. Elsewhere the picture must at least
-show what little bone is left."""
-THIN = 0.9
-"""Completion as the picture estimates it, from which a point may be left undecided."""
-UNDECIDED_SHARE = 0.1
-"""Of the ring that may be left to the picture's estimate alone."""
 MOST_IDLE_ROUNDS = 2
 """Laps and looks in a row in which no point got deeper."""
 
@@ -267,15 +262,7 @@ class _Run:
             idle_rounds = 0 if cut_mm > cut_before_mm else idle_rounds + 1
             cut_before_mm = cut_mm
             if not ledger.open_points or idle_rounds >= MOST_IDLE_ROUNDS:
-                left = [i for i, point in enumerate(ledger.points) if point.state is not PointState.DONE]
-                names = ", ".join(f"{i + 1} ({ledger.points[i].why})" for i in left)
-                bridges = [
-                    i for i in left if ledger.completion(i) < THIN or ledger.shallow_mm(i) > ledger.limits.felt_mm
-                ]
-                n = len(ledger.points)
-                if len(bridges) <= BRIDGE_SHARE * n and len(left) <= UNDECIDED_SHARE * n:
-                    return "complete", f"the flap can be lifted, though not every cue says these are through: {names}"
-                return "held", f"the cues disagree on these points, and no look may re-open them: {names}"
+                return conclude(ledger)
 
     def _look(self, ring: _Ring, ledger: Ledger) -> None:
         """Judge every point again with nothing in front of it."""

@@ -4,7 +4,7 @@ For comparison on the virtual bench only: no contact, no load, no verify pass. T
 is all that stands between a wrong picture and the membrane.
 """
 
-from milling.permission import Grant
+from milling.point import Grant
 
 _DONE = 0.95
 

@@ -6,7 +6,8 @@ import pytest
 from milling.eyes import RingView, Watch
 from milling.job import Job
 from milling.limits import Limits
-from milling.permission import Ledger, PointState
+from milling.permission import Ledger
+from milling.point import PointState
 
 
 def test_erratum_8_no_percentage_of_a_completion_of_zero_enters_the_loop() -> None:

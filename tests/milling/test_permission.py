@@ -12,10 +12,12 @@ from hypothesis import strategies as st
 import milling.latch
 import milling.limits
 import milling.permission
+import milling.point
 from drivers.errors import ConnectionLostError, SafetyStop
 from milling.latch import Latch, Reaction, reaction_to
 from milling.limits import Limits
-from milling.permission import Ledger, PointState
+from milling.permission import Ledger
+from milling.point import PointState
 
 LIMITS = Limits(neighbour_mm=9.0)
 """These tests dig at one point of a ring; the neighbours' rule has a test of its own."""
@@ -48,12 +50,20 @@ def dig(ledger: Ledger, index: int, to_mm: float) -> float:
     return now_s
 
 
-@pytest.mark.parametrize("module", [milling.permission, milling.limits, milling.latch])
+@pytest.mark.parametrize("module", [milling.permission, milling.point, milling.limits, milling.latch])
 def test_it_is_standard_library_only(module: ModuleType) -> None:
     tree = ast.parse(Path(module.__file__ or "").read_text())
     imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     imported |= {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
-    assert imported <= {"collections", "dataclasses", "enum", "math", "drivers.errors", "milling.limits"}
+    assert imported <= {
+        "collections",
+        "dataclasses",
+        "enum",
+        "math",
+        "drivers.errors",
+        "milling.limits",
+        "milling.point",
+    }
 
 
 def test_all_evidence_grants_one_bite() -> None:
