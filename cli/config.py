@@ -33,6 +33,8 @@ class GrblMotion(Table):
     origin_mm: Vector
     """Where the controller's machine coordinates put the origin of {R}."""
     max_feed_mm_s: Positive = 20.0
+    reply_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
+    """How long a status report is waited for; three missed ones in a row stop the machine."""
     settings: dict[Annotated[str, Field(pattern=r"^\$?[0-9]+$")], Finite] = {}
     """Firmware settings that must read back as given, such as "$100" = 1000."""
 

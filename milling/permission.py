@@ -103,7 +103,7 @@ class Ledger:
         elif point.state is PointState.STOPPED:
             if self._refuted(index):
                 point.forget()
-            point.reopen()
+            point.reopen(self._plausible(point), max(0.0, self.shallow_mm(index)))
         return point.state
 
     def cut_mm(self, index: int) -> float:
@@ -149,9 +149,7 @@ class Ledger:
     def _through(self, index: int) -> str | None:
         """Why the point is through; None where it is not, as far as is known."""
         point, limits = self.points[index], self.limits
-        picture = point.hole_not_excluded
-        # A load that vanishes under a picture of thick bone speaks of the contact or of a ridge beside it, not of holes
-        plausible = picture or point.completion >= limits.agrees
+        picture, plausible = point.hole_not_excluded, self._plausible(point)
         if point.load_through and plausible and self._behind_mm(index) <= limits.notch_mm:
             return "picture and load agree: through" if picture else "the load says through"
         if point.looks > 0 and plausible and self._below_finished_neighbours(index):
@@ -159,7 +157,16 @@ class Ledger:
         near = max(self.shallow_mm(index), 2 * self._behind_mm(index)) <= limits.felt_mm
         if picture and point.tried and near:
             return "the picture says through all along, and its neighbours were felt to be"
+        if plausible and point.blind and self.shallow_mm(index) < limits.late_bite_mm:
+            return "as deep as its neighbours that were felt to be through, and the picture agrees"
         return None
+
+    def _plausible(self, point: Point) -> bool:
+        """Whether the picture does not contradict a hole.
+
+        A load that vanishes under a picture of thick bone speaks of the contact or of a ridge beside it, not of holes.
+        """
+        return point.hole_not_excluded or point.completion >= self.limits.agrees
 
     def _refuted(self, index: int) -> bool:
         """Whether its neighbours, cut deeper or felt to be through much deeper, say that here must be bone."""

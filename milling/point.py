@@ -163,6 +163,11 @@ class Point:
         used_up = self.picture_said_mm is not None and self.cut_mm > self.picture_said_mm + limits.trial_mm - last_mm
         return used_up or (self.looks > 0 and self.unheard_mm > limits.unheard_mm - last_mm)
 
+    @property
+    def blind(self) -> bool:
+        """Whether it was looked at before, and could not be weighed since."""
+        return self.looks > 0 and (self.unheard_mm > 0.0 or self.cut_mm <= self.looked_at_mm)
+
     def stop(self, why: str) -> Grant:
         """No bite until the next look."""
         if self.state is not PointState.DONE:
@@ -179,8 +184,14 @@ class Point:
         self.load_through = self.doubt = False
         self.unheard_mm = 0.0
 
-    def reopen(self) -> None:
-        """Give a bounded amount back, after a look."""
+    def reopen(self, plausible: bool, felt_mm: float) -> None:
+        """Give a bounded amount back, after a look.
+
+        Args:
+            plausible: whether the picture does not contradict a hole.
+            felt_mm: how much deeper the neighbours were felt to be through; a point that may be through as well gets no
+                deeper than that without being weighed.
+        """
         limits, picture = self.limits, self.hole_not_excluded
         # A look that followed no bite (its neighbours kept the point waiting) told nothing new.
         self.looks += self.cut_mm > self.looked_at_mm
@@ -196,6 +207,8 @@ class Point:
         self.allowance_mm = min(far_mm, limits.thickness_high_mm)
         if picture and not self.load_through:
             self._try_picture()
+        elif plausible:
+            self.allowance_mm = min(self.allowance_mm, self.cut_mm + felt_mm)
         self.load_above_idle, self.doubt = True, self.load_through
         self.picture_through = picture and self.on_trial
         self.load_through = False

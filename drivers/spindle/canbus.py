@@ -5,6 +5,7 @@ refusal (BEL) for silence. ``SlcanBus`` is a ``can.BusABC`` as well; it asks, lo
 refused.
 """
 
+import contextlib
 import re
 from collections import deque
 
@@ -150,7 +151,9 @@ class SlcanBus(can.BusABC):
             return
         super().shutdown()
         try:
-            self._write(b"C" + _CR)
+            # A lost wire has no channel to close.
+            with contextlib.suppress(ConnectionLostError):
+                self._write(b"C" + _CR)
         finally:
             self._line.close()
 

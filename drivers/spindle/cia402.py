@@ -40,7 +40,7 @@ from drivers.spindle.cia402_profile import (
     DriveState,
 )
 from drivers.spindle.cia402_setup import COMMAND_LAYOUT, REPORT_LAYOUT, set_up_drive, watch_host
-from drivers.spindle.interface import LONGEST_SILENCE_S, Spindle, SpindleStatus
+from drivers.spindle.interface import SILENT_AFTER, Spindle, SpindleStatus
 
 _TRANSITION_S = 1.0
 _STANDSTILL_S = 3.0
@@ -153,7 +153,7 @@ class Cia402Spindle(Spindle):
     def status(self) -> SpindleStatus:
         """The drive's answer to a SYNC sent now, and a sign of life to it."""
         self._beat()
-        deadline_s = self._clock.now_s() + LONGEST_SILENCE_S
+        deadline_s = self._clock.now_s() + SILENT_AFTER * self._heartbeat_s
         speed_rpm, torque_per_mille = self._ask()
         if self._commanded_rpm == 0 and self._state is DriveState.OPERATION_ENABLED:
             self._command(QUICK_STOP, 0)  # the frame of stop() got lost
@@ -258,7 +258,7 @@ class Cia402Spindle(Spindle):
         """Speed and torque in per mille, as the drive answers a SYNC; its state is kept.
 
         Raises:
-            DeviceTimeoutError: no answer within ``LONGEST_SILENCE_S``.
+            DeviceTimeoutError: no answer within ``SILENT_AFTER`` heartbeats.
         """
         node = self._node
         node.pump()
@@ -268,7 +268,7 @@ class Cia402Spindle(Spindle):
             node.send(SYNC_ID, b"")
             return node.wait(lambda: node.reports > before, limit_s)
 
-        deadline_s = self._clock.now_s() + LONGEST_SILENCE_S
+        deadline_s = self._clock.now_s() + SILENT_AFTER * self._heartbeat_s
         is_heard = False
         while not is_heard and (remaining_s := deadline_s - self._clock.now_s()) > 0:
             is_heard = answered(min(_ASK_AGAIN_S, remaining_s))
@@ -277,8 +277,8 @@ class Cia402Spindle(Spindle):
             is_heard = answered(_ASK_AGAIN_S)
         if not is_heard:
             raise DeviceTimeoutError(
-                f"{node.name}: silent, no answer to SYNC within {LONGEST_SILENCE_S:g} s; check the drive's "
-                "power and the CAN cable, then open the drill again"
+                f"{node.name}: silent, no answer to SYNC within {SILENT_AFTER * self._heartbeat_s:g} s; check the "
+                "drive's power and the CAN cable, then open the drill again"
             )
         statusword, speed_rpm, torque_per_mille = REPORT_LAYOUT.unpack(node.report)
         self._state = DriveState.of(statusword)

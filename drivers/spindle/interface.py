@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 from drivers.device import Device
 
-LONGEST_SILENCE_S = 0.2
-"""A drive that says nothing for so long while it is asked is silent."""
+SILENT_AFTER = 0.8
+"""A drive that says nothing for this share of the heartbeat's time while it is asked is silent: the host gives up
+before the drive does."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Spindle(Device):
 
     @abstractmethod
     def status(self) -> SpindleStatus:
-        """The newest report of the drive, and a sign of life to it. Waits ``LONGEST_SILENCE_S`` at most.
+        """The newest report of the drive, and a sign of life to it. Waits ``SILENT_AFTER`` heartbeats at most.
 
         Raises:
             DeviceTimeoutError: the drive has been silent for too long.

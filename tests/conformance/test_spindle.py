@@ -10,7 +10,7 @@ from spindle_benches import MAX_SPEED_RPM, SpindleBench, in_process_bench, pty_b
 
 from drivers.errors import DeviceBusyError, DeviceFaultError, DeviceTimeoutError
 from drivers.spindle.cia402 import Cia402Spindle
-from drivers.spindle.interface import LONGEST_SILENCE_S
+from drivers.spindle.interface import SILENT_AFTER
 
 EMULATED: dict[str, Any] = {
     "in-process": partial(in_process_bench, lawicel=False),
@@ -125,7 +125,7 @@ def test_status_waits_for_nothing_long(spindle_bench: SpindleBench) -> None:
     for _ in range(10):
         before_s = clock.now_s()
         spindle.status()
-        assert clock.now_s() - before_s <= LONGEST_SILENCE_S + 0.02
+        assert clock.now_s() - before_s <= SILENT_AFTER * spindle.heartbeat_s + 0.02
 
 
 def test_a_frozen_loop_stops_the_drill(spindle_wire_bench: SpindleBench) -> None:

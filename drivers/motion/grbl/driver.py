@@ -22,7 +22,7 @@ from drivers.errors import (
 from drivers.motion.grbl import machine, protocol
 from drivers.motion.grbl.limits import SoftLimits
 from drivers.motion.grbl.queue import BlockQueue
-from drivers.motion.grbl.session import GrblSession
+from drivers.motion.grbl.session import REPLY_S, GrblSession
 from drivers.motion.interface import MotionController, MotionState, MotionStatus, Travel, Vector
 from drivers.motion.transport import SerialLine
 
@@ -54,6 +54,7 @@ class GrblController(MotionController):
         origin_mm: Vector,
         max_feed_mm_per_s: float,
         expected_settings: Mapping[str, float] | None = None,
+        reply_s: float = REPLY_S,
     ) -> None:
         """Reset the controller, read who it is and how it is set, and refuse one that is set wrongly.
 
@@ -63,6 +64,7 @@ class GrblController(MotionController):
             origin_mm: where the controller's machine coordinates put the origin of {R}.
             max_feed_mm_per_s: the highest feed that ``start_move`` takes.
             expected_settings: settings such as "$100" that must read back as given.
+            reply_s: how long each status report is waited for; three missed ones in a row are an error.
 
         Raises:
             DeviceTimeoutError: no GRBL controller answers.
@@ -71,7 +73,7 @@ class GrblController(MotionController):
         """
         self._clock = clock
         self._max_feed_mm_per_s = max_feed_mm_per_s
-        self._session = GrblSession(line, clock)
+        self._session = GrblSession(line, clock, reply_s=reply_s)
         self._session.on_report = self._forget_executed
         self._queue = BlockQueue()
         self._homed = False

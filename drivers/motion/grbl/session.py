@@ -16,8 +16,9 @@ from drivers.motion.grbl import protocol
 from drivers.motion.grbl.codes import alarm_meaning, alarm_words, error_words
 from drivers.motion.transport import SerialLine
 
-REPLY_S = 0.2
-"""A report is due 4-8 ms after the query; a loaded host or a full wire may add to that."""
+REPLY_S = 0.1
+"""A report is due 4-8 ms after the query; a loaded host or a full wire may add to that. Three missed ones end a motion
+within 0.3 s, and one leaves the spindle's heartbeat alive."""
 BROKEN_REPORT_S = 0.25
 """After a broken report the wire is left alone this long before the next query."""
 MISSED_REPLIES = 3
@@ -42,9 +43,11 @@ _HALTED = Fault("halted by halt()", position_lost=False)
 class GrblSession:
     """Speaks to one controller over one line."""
 
-    def __init__(self, line: SerialLine, clock: Clock) -> None:
+    def __init__(self, line: SerialLine, clock: Clock, *, reply_s: float = REPLY_S) -> None:
+        """Wait ``reply_s`` for each report."""
         self._line = line
         self._clock = clock
+        self._reply_s = reply_s
         self._parser = protocol.Parser()
         self._unacknowledged: list[str] = []
         self._refusal: str | None = None
@@ -200,7 +203,9 @@ class GrblSession:
         seen, strikes, fault = self._reports, self._strikes, self.fault
         self.urgent(protocol.STATUS)
         asked_s = self._clock.now_s()
-        self.pump_until(lambda: self._reports > seen or self._strikes > strikes or self.fault is not fault, REPLY_S)
+        self.pump_until(
+            lambda: self._reports > seen or self._strikes > strikes or self.fault is not fault, self._reply_s
+        )
         if self._reports > seen:
             return self.report
         if self._strikes > strikes:
@@ -278,13 +283,13 @@ class GrblSession:
 
         for _ in range(MISSED_REPLIES):
             self.urgent(protocol.STATUS)
-            if self.pump_until(answered, REPLY_S):
+            if self.pump_until(answered, self._reply_s):
                 return
         raise self._silent()
 
     def _silent(self) -> DeviceTimeoutError:
         return DeviceTimeoutError(
-            f"{self.name}: no reply to {MISSED_REPLIES} status queries, {MISSED_REPLIES * REPLY_S:g} s in all; "
+            f"{self.name}: no reply to {MISSED_REPLIES} status queries, {MISSED_REPLIES * self._reply_s:g} s in all; "
             "stop the machine by its power switch if it moves, then look at the cable and the controller"
         )
 
