@@ -54,7 +54,7 @@ class Limits:
     most_reopen_mm: float = 0.06
     past_loss_mm: float = 0.02
     agrees: float = 0.8
-    trial_mm: float = 0.07
+    trial_mm: float = 0.08
     felt_mm: float = 0.04
     notch_mm: float = 0.05
     looks: int = 6

@@ -117,14 +117,14 @@ class Ledger:
     def shallow_mm(self, index: int) -> float:
         """How much shallower a point is than its nearest neighbours on both sides that were felt to be through.
 
-        Between the two the straight line counts; infinite where nothing was felt within a quarter of the ring.
+        Between the two the straight line counts; infinite where one side has none within a quarter of the ring.
         """
         n, felt = len(self.points), []
         for step in (-1, 1):
             near = ((far, self.points[(index + step * far) % n]) for far in range(1, n // 4 + 1))
             felt += [next(((far, point.cut_mm) for far, point in near if point.felt_through), None)]
         sides = [side for side in felt if side is not None]
-        if not sides:
+        if len(sides) < 2:
             return inf
         depth_mm = sum(cut_mm / far for far, cut_mm in sides) / sum(1 / far for far, _ in sides)
         return depth_mm - self.points[index].cut_mm

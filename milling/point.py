@@ -165,8 +165,10 @@ class Point:
 
     @property
     def blind(self) -> bool:
-        """Whether it was looked at before, and could not be weighed since."""
-        return self.looks > 0 and (self.unheard_mm > 0.0 or self.cut_mm <= self.looked_at_mm)
+        """Whether it was looked at before, and could not be weighed since as far as it was allowed to go."""
+        allowed_mm = self.cut_mm if self.allowance_mm is None else self.allowance_mm
+        used_up = self.cut_mm > allowed_mm - self.limits.late_bite_mm
+        return self.looks > 0 and used_up and (self.unheard_mm > 0.0 or self.cut_mm <= self.looked_at_mm)
 
     def stop(self, why: str) -> Grant:
         """No bite until the next look."""

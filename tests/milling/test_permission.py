@@ -396,9 +396,40 @@ def test_between_felt_points_the_straight_line_counts() -> None:
     ledger = tried(0.30)
     assert ledger.shallow_mm(2) == math.inf
     felt_through(ledger, 1, 0.40)
-    assert ledger.shallow_mm(2) == pytest.approx(0.10)
+    assert ledger.shallow_mm(2) == math.inf, "on one side alone"
     felt_through(ledger, 4, 0.34)
     assert ledger.shallow_mm(2) == pytest.approx((2 * 0.40 + 0.34) / 3 - 0.30)
+
+
+def test_a_point_that_cannot_be_weighed_goes_as_deep_as_its_neighbours_were_felt_and_is_done_there() -> None:
+    ledger = touched()
+    dig(ledger, 2, 0.30)
+    felt_through(ledger, 1, 0.35)
+    felt_through(ledger, 3, 0.35)
+    now_s = 2e3
+    for _ in range(8):
+        ledger.stall()
+        for at_s in (now_s, now_s + 0.05):
+            ledger.seen(2, completion=0.9, upper=0.99, exposed_at_s=at_s)
+        if ledger.look(2) is PointState.DONE:
+            break
+        while ledger.points[2].state is PointState.OPEN:
+            now_s += 3.0
+            visit(ledger, 2, now_s, upper=0.99, ratio=None)
+    assert ledger.points[2].state is PointState.DONE
+    assert 0.35 - LIMITS.late_bite_mm < ledger.cut_mm(2) <= 0.35 + 1e-9
+
+
+def test_a_point_that_waits_for_its_neighbours_is_not_done_by_waiting() -> None:
+    ledger = touched(limits=Limits())
+    for index, cut_mm in ((0, 0.38), (1, 0.24), (2, 0.33), (3, 0.38)):
+        ledger.points[index].cut_mm = cut_mm
+    felt_through(ledger, 0, 0.38)
+    felt_through(ledger, 3, 0.38)
+    for _ in range(4):
+        ledger.stall()
+        ledger.seen(2, completion=0.9, upper=0.99, exposed_at_s=1e3)
+        assert ledger.look(2) is PointState.OPEN
 
 
 def test_a_notch_between_two_deeper_points_is_not_through_whatever_its_cues_say() -> None:
