@@ -19,10 +19,12 @@ class Limits:
         frame_age_s: the oldest newest frame.
         newest: the weight of the newest pass in a point's load.
         prior_slack_mm: how far above the low end of the thickness prior a droop of the load is first believed.
-        droop: a load below this share raises a doubt, and confirms one; under a picture of a hole it confirms that.
+        droop: a load below this share raises a doubt, and confirms one.
+        droop_of_hole: a load below this share confirms a picture of a hole.
         whole: a load of at least this share settles a doubt.
         unheard_mm: how deep a point may go past the low end of the prior on passes whose load could not be weighed.
         neighbour_mm: how much deeper than its shallower neighbour a point may go.
+        pit_mm: the same where the picture says that the point is through.
         reopen_mm: what one look with the drill lifted may give back to a stopped point, beyond what its best
             estimate of completion leaves.
         most_reopen_mm: the bound on both together.
@@ -47,9 +49,11 @@ class Limits:
     newest: float = 0.6
     prior_slack_mm: float = 0.05
     droop: float = 0.85
+    droop_of_hole: float = 0.87
     whole: float = 0.9
     unheard_mm: float = 0.04
     neighbour_mm: float = 0.08
+    pit_mm: float = 0.03
     reopen_mm: float = 0.03
     most_reopen_mm: float = 0.06
     past_loss_mm: float = 0.02

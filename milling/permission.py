@@ -55,8 +55,7 @@ class Ledger:
     def ask(self, index: int, *, bite_mm: float, now_s: float, frame_at_s: float) -> Grant:
         """How deep the tip may go at this visit. Asking again within one visit never adds to it."""
         point = self.points[index]
-        deepest_mm = self._shallower_neighbour_mm(index) + self.limits.neighbour_mm
-        grant = point.judge(bite_mm, now_s, frame_at_s, deepest_mm)
+        grant = point.judge(bite_mm, now_s, frame_at_s, self._deepest_mm(index))
         if grant.deeper:
             if point.granted_mm is None:
                 point.verdicts["bite"] += 1
@@ -117,11 +116,11 @@ class Ledger:
     def shallow_mm(self, index: int) -> float:
         """How much shallower a point is than its nearest neighbours on both sides that were felt to be through.
 
-        Between the two the straight line counts; infinite where one side has none within a quarter of the ring.
+        Between the two the straight line counts; infinite where one half of the ring has none.
         """
         n, felt = len(self.points), []
         for step in (-1, 1):
-            near = ((far, self.points[(index + step * far) % n]) for far in range(1, n // 4 + 1))
+            near = ((far, self.points[(index + step * far) % n]) for far in range(1, n // 2 + 1))
             felt += [next(((far, point.cut_mm) for far, point in near if point.felt_through), None)]
         sides = [side for side in felt if side is not None]
         if len(sides) < 2:
@@ -179,6 +178,13 @@ class Ledger:
         """How much shallower a point is than both its neighbours."""
         return self._shallower_neighbour_mm(index) - self.points[index].cut_mm
 
+    def _deepest_mm(self, index: int) -> float:
+        """How deep its neighbours let a point go; less where the picture says that it is through."""
+        limits = self.limits
+        return self._shallower_neighbour_mm(index) + (
+            limits.pit_mm if self.points[index].on_trial else limits.neighbour_mm
+        )
+
     def _shallower_neighbour_mm(self, index: int) -> float:
         """Bone does not change its thickness from one point to the next, so depths that part tell of a wrong cue.
 
@@ -191,7 +197,5 @@ class Ledger:
         """Whether both neighbours are through and the point is so much deeper that they would keep it waiting."""
         n = len(self.points)
         near = (self.points[(index - 1) % n], self.points[(index + 1) % n])
-        depth = self.points[index].cut_mm + self.limits.late_bite_mm
-        return all(point.state is PointState.DONE for point in near) and (
-            depth > self._shallower_neighbour_mm(index) + self.limits.neighbour_mm
-        )
+        depth_mm = self.points[index].cut_mm + self.limits.late_bite_mm
+        return all(point.state is PointState.DONE for point in near) and depth_mm > self._deepest_mm(index)

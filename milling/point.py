@@ -250,7 +250,7 @@ class Point:
             if not hole:
                 # Both cues refute what stopped the point, if it was stopped.
                 self.allowance_mm = self.load_lost_mm = self.picture_said_mm = None
-        elif load < self.limits.droop and (hole or self.doubt):
+        elif load < (self.limits.droop_of_hole if hole else self.limits.droop) and (hole or self.doubt):
             self._stop_by_load()
         elif load < self.limits.droop:
             self.doubt = True
