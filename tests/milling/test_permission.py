@@ -19,7 +19,7 @@ from milling.limits import Limits
 from milling.permission import Ledger
 from milling.point import PointState
 
-LIMITS = Limits(neighbour_mm=9.0)
+LIMITS = Limits(neighbour_mm=9.0, pit_mm=9.0)
 """These tests dig at one point of a ring; the neighbours' rule has a test of its own."""
 
 
@@ -305,6 +305,17 @@ def test_a_load_that_was_weighed_and_is_whole_tries_a_picture_of_a_hole_over_a_b
         now_s += 3.0
         visit(ledger, 0, now_s, upper=1.0)
     assert start + 0.02 < ledger.cut_mm(0) <= start + LIMITS.trial_mm + 1e-9
+
+
+def test_a_point_that_the_picture_calls_through_digs_no_pit() -> None:
+    ledger = touched(limits=Limits())
+    for point in ledger.points:
+        point.cut_mm, point.load_ratio = 0.3, 1.0
+    holed(ledger, 1e3)
+    assert ledger.points[0].on_trial
+    for lap in range(6):
+        visit(ledger, 0, 1e3 + 3.0 * (lap + 1), upper=1.0)
+    assert 0.3 < ledger.cut_mm(0) <= 0.3 + Limits().pit_mm
 
 
 def test_a_droop_ends_a_trial_at_once_and_the_look_finishes() -> None:
