@@ -154,7 +154,7 @@ class Ledger:
         if point.looks > 0 and plausible and self._below_finished_neighbours(index):
             return "deeper than its finished neighbours, and the picture agrees"
         near = max(self.shallow_mm(index), 2 * self._behind_mm(index)) <= limits.felt_mm
-        if picture and point.tried and near:
+        if picture and near and (point.tried or self._waits(index)):
             return "the picture says through all along, and its neighbours were felt to be"
         if plausible and point.blind and self.shallow_mm(index) < limits.late_bite_mm:
             return "as deep as its neighbours that were felt to be through, and the picture agrees"
@@ -197,5 +197,8 @@ class Ledger:
         """Whether both neighbours are through and the point is so much deeper that they would keep it waiting."""
         n = len(self.points)
         near = (self.points[(index - 1) % n], self.points[(index + 1) % n])
-        depth_mm = self.points[index].cut_mm + self.limits.late_bite_mm
-        return all(point.state is PointState.DONE for point in near) and depth_mm > self._deepest_mm(index)
+        return all(point.state is PointState.DONE for point in near) and self._waits(index)
+
+    def _waits(self, index: int) -> bool:
+        """Whether the point is so deep that its shallower neighbour keeps it waiting."""
+        return self.points[index].cut_mm + self.limits.late_bite_mm > self._deepest_mm(index)
