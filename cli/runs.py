@@ -35,12 +35,14 @@ def runs() -> None:
 @json_option
 def list_runs(folder: Path, json_file: Path | None) -> None:
     """List the runs in the folder, the newest last."""
+    from milling.record import read_run
+
     rows: list[dict[str, str | float | None]] = []
     for path in sorted(folder.iterdir()) if folder.is_dir() else []:
         if not (path / "header.json").is_file():
             continue
         try:
-            run = read(path)
+            run = read_run(path)
         except ConfigError as error:
             rows.append({"run": path.name, "outcome": "damaged", "reason": str(error)})
         else:
@@ -63,7 +65,9 @@ def list_runs(folder: Path, json_file: Path | None) -> None:
 @json_option
 def show(run_folder: Path, folder: Path, json_file: Path | None) -> None:
     """Show one run: what it was, how it ended, and every point of its ring."""
-    run = read(located(run_folder, folder))
+    from milling.record import read_run
+
+    run = read_run(located(run_folder, folder))
     facts = summary(run)
     points = [] if run.result is None else run.result["points"]
     if json_file:
@@ -108,7 +112,7 @@ def report(run_folder: Path, folder: Path) -> None:
     """Write a run's report anew from its record, and print its path."""
     from cli.reports.run_report import write_report
 
-    click.echo(write_report(read(located(run_folder, folder)).folder))
+    click.echo(write_report(located(run_folder, folder)))
 
 
 def located(run_folder: Path, folder: Path) -> Path:
@@ -121,24 +125,6 @@ def located(run_folder: Path, folder: Path) -> Path:
         if (path / "header.json").is_file():
             return path
     raise ConfigError(f"{run_folder}: no such run, here or in {folder}; `mill runs list` lists them")
-
-
-def read(path: Path) -> "Run":
-    """The record of a run.
-
-    Raises:
-        ConfigError: it is damaged where that cannot be told apart from what happened.
-    """
-    from milling.record import read_run
-
-    try:
-        return read_run(path)
-    except ConfigError:
-        raise
-    except ValueError as error:
-        raise ConfigError(
-            f"{path}: header.json or result.json is damaged: {error}; events.jsonl is untouched"
-        ) from None
 
 
 def summary(run: "Run") -> dict[str, str | float | None]:

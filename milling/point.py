@@ -135,7 +135,7 @@ class Point:
             return self._no("no load at the last pass")
         depth = self.cut_mm + min(bite_mm, self._bite_limit_mm)
         if self.allowance_mm is not None and depth > self.allowance_mm + ROUNDING_MM:
-            return self.stop("the allowance of the last look is used up")
+            return self.stop("its allowance is used up")
         if depth > limits.thickness_high_mm:
             return self.stop("the high end of the thickness prior is reached")
         unheard = self.unheard_mm + depth - self.cut_mm

@@ -28,14 +28,16 @@ from drivers.motion.serial_line import open_serial
 from drivers.spindle.cia402 import Cia402Spindle
 
 HOLDER = """
-import signal, sys, time
+import signal, sys
 from drivers.motion.serial_line import open_serial
 line = open_serial(sys.argv[1], 115200)
 if sys.argv[2] == "stubborn":
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
 line.write(b"G91G1X-5F60\\n")
 print("holding", flush=True)
-time.sleep(60)
+signal.alarm(60)
+while True:
+    signal.pause()
 """
 """Holds the motion port and knows nothing of stopping well."""
 
