@@ -7,6 +7,7 @@ the surface's error lets the later ones start close above the bone.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from statistics import fmean
 
 from drivers.errors import PlanError, SafetyStop
 from drivers.motion.interface import Vector
@@ -25,6 +26,10 @@ SETTLE_S = 0.5
 BETWEEN_MM = 0.08
 """Lift before going to the next point."""
 APPROACH_FEED_MM_S = 2.0
+AIR_WEIGHT = 0.5
+AIR_STEP = 0.25
+"""Sigmas that the torque of the air may change by from one point to the next. A drive's zero drifts by a tenth of that;
+bone, should it be met on the way across, would be a hundred times more."""
 
 
 @dataclass
@@ -33,6 +38,7 @@ class ContactFinder:
 
     hands: Hands
     idle: Idle
+    """Torque of the air; kept up to date on the way from point to point."""
     floor_z_mm: float
     """No tip height below this is ever asked for."""
     _torques: list[float] = field(default_factory=list)
@@ -77,7 +83,9 @@ class ContactFinder:
         position = self.hands.motion.status().position_mm
         if position[2] < clear:
             self.hands.go((position[0], position[1], clear), TRAVEL_FEED_MM_S)
+        self._torques.clear()
         self.hands.go((x, y, clear), TRAVEL_FEED_MM_S)
+        self._follow_air()
         while True:
             if not self._loaded((x, y, start), APPROACH_FEED_MM_S):
                 height = self._descend(index, x, y, start)
@@ -111,6 +119,13 @@ class ContactFinder:
             else:
                 # The first step with load began in the air: contact lies within it.
                 return touched_at + STEP_MM / 2
+
+    def _follow_air(self) -> None:
+        """The zero of the torque drifts while points are felt for, by more than a touch within half a minute."""
+        if self._torques:
+            step = AIR_WEIGHT * (fmean(self._torques) - self.idle.mean)
+            most = AIR_STEP * self.idle.sigma
+            self.idle = Idle(self.idle.mean + min(max(step, -most), most), self.idle.sigma)
 
     def _loaded(self, target: Vector, feed_mm_s: float) -> bool:
         """Go there, and tell whether the drill felt anything on the way."""

@@ -201,7 +201,7 @@ class _Run:
     def _guarded(self, trajectory: Trajectory, reference: Image, idle: Idle, floor_mm: float) -> _Ring:
         """Contact under every point, and the ledger that counts from it."""
         job, tip = self.job, trajectory.tip_mm
-        ledger = Ledger(job.n_points, _limits(job))
+        ledger = Ledger(job.n_points, _limits(job), pitch_mm=trajectory.length_mm / job.n_points)
         predicted = [float(z) for z in trajectory.contact_z_mm]
 
         def told(index: int, height: float) -> None:
@@ -215,7 +215,9 @@ class _Run:
             [(float(x), float(y)) for x, y in tip[:, :2]], [float(z) for z in tip[:, 2]], predicted, told
         )
         top = np.asarray(found)
-        meter = LoadMeter(job.n_points, idle, ball_radius_mm=job.ball_radius_mm, sound_depth_mm=job.thickness_low_mm)
+        meter = LoadMeter(
+            job.n_points, finder.idle, ball_radius_mm=job.ball_radius_mm, sound_depth_mm=job.thickness_low_mm
+        )
         bottom = top + self.offset[2] - job.ball_radius_mm
         return self._ring(trajectory, reference, top, bottom, ledger, ledger, meter)
 
@@ -257,7 +259,7 @@ class _Run:
                 ledger.stall()
             self._look(ring, ledger)
             if ledger.done:
-                return "complete", "every point is through, judged again with the drill aside"
+                return conclude(ledger)
             cut_mm = sum(point.cut_mm for point in ledger.points)
             idle_rounds = 0 if cut_mm > cut_before_mm else idle_rounds + 1
             cut_before_mm = cut_mm
@@ -278,8 +280,7 @@ class _Run:
         for _ in range(LOOK_FRAMES):
             self.hands.beat()
             ring.watch.stare(1)
-        # What the load has said of some is evidence about their neighbours: those first.
-        for index, point in sorted(enumerate(ledger.points), key=lambda item: not item[1].load_through):
+        for index, point in enumerate(ledger.points):
             before = point.state
             after = ledger.look(index)
             if after is not before:
@@ -355,6 +356,7 @@ class _Run:
             completion=completion,
             upper=[point.upper for point in points],
             load_ratio=[point.load_ratio for point in points],
+            left_probability=[point.left_probability for point in points],
             state=state,
             torque=laps.torque,
         )
@@ -376,6 +378,7 @@ class _Run:
                     "contact_mm": float(ring.top_z_mm[index]),
                     "upper": point.upper,
                     "load_ratio": point.load_ratio,
+                    "left_probability": point.left_probability,
                     "state": point.state.value,
                     "why": point.why,
                     "permissions": dict(point.verdicts),

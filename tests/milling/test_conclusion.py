@@ -1,6 +1,7 @@
 """A window is complete only where next to nothing may still hold the flap."""
 
 import pytest
+from ledgers import PITCH_MM
 
 from milling.conclusion import conclude
 from milling.limits import Limits
@@ -8,31 +9,22 @@ from milling.permission import Ledger
 from milling.point import PointState
 
 
-def milled(undecided: list[int], *, completion: float, depth_mm: float) -> Ledger:
-    """32 points felt to be through at 0.35 mm, but for some."""
-    ledger = Ledger(32, Limits())
-    for index, point in enumerate(ledger.points):
-        point.cut_mm, point.load_through, point.state, point.completion = 0.35, True, PointState.DONE, 1.0
-        if index in undecided:
-            point.cut_mm, point.load_through, point.state = depth_mm, False, PointState.STOPPED
-            point.completion = completion
+def milled(left: list[float]) -> Ledger:
+    """32 finished points, but for some whose probability of bone is ``left``."""
+    ledger = Ledger(32, Limits(), pitch_mm=PITCH_MM)
+    for point in ledger.points:
+        point.state, point.left_probability = PointState.DONE, 0.01
+    for index, probability in enumerate(left):
+        ledger.points[5 * index].state, ledger.points[5 * index].left_probability = PointState.STOPPED, probability
     return ledger
 
 
 @pytest.mark.parametrize(
-    ("undecided", "completion", "depth_mm", "outcome"),
-    [
-        ([4, 9, 20], 0.95, 0.34, "complete"),
-        ([4, 9, 20, 21], 0.95, 0.34, "held"),
-        ([4], 0.5, 0.34, "complete"),
-        ([4, 9], 0.5, 0.34, "held"),
-        ([4, 9], 0.95, 0.25, "held"),
-    ],
-    ids=["few", "too many", "one bridge", "two by the picture", "two by their neighbours"],
+    ("left", "outcome"),
+    [([], "complete"), ([0.1, 0.2, 0.1], "complete"), ([0.9], "complete"), ([0.9, 0.5], "held"), ([0.3] * 5, "held")],
+    ids=["none", "few and thin", "one bridge", "two bridges", "many that may be"],
 )
-def test_few_undecided_points_and_hardly_a_bridge(
-    undecided: list[int], completion: float, depth_mm: float, outcome: str
-) -> None:
-    found, reason = conclude(milled(undecided, completion=completion, depth_mm=depth_mm))
+def test_hardly_a_bridge(left: list[float], outcome: str) -> None:
+    found, reason = conclude(milled(left))
     assert found == outcome
-    assert all(str(index + 1) in reason for index in undecided)
+    assert all(str(5 * index + 1) in reason for index in range(len(left)))

@@ -57,6 +57,7 @@ class Drill(Spindle):
 
     def __init__(self, stage: Stage, bone_z: float, *, noise: float = 0.01) -> None:
         self.stage, self.bone_z, self.noise = stage, bone_z, noise
+        self.drift_per_s = 0.0
         self.rng = np.random.default_rng(1)
         self.deepest = float("inf")
 
@@ -67,7 +68,8 @@ class Drill(Spindle):
         going_down = self.stage.moved_from[2] > z
         load = 0.05 if going_down and z < height else 0.0
         self.deepest = min(self.deepest, z - height)
-        return SpindleStatus(RPM, 0.08 + load + self.noise * self.rng.normal() / 4, None, self.stage.clock.now_s())
+        idle = 0.08 + self.drift_per_s * self.stage.clock.now_s()
+        return SpindleStatus(RPM, idle + load + self.noise * self.rng.normal() / 4, None, self.stage.clock.now_s())
 
     def start(self, speed_rpm: float) -> None: ...
     def stop(self) -> None: ...
@@ -96,6 +98,29 @@ def test_contact_is_found_within_a_step_whatever_the_surface_is_off_by(error: fl
     found = search.find_all(XY, [z + 0.5 for z in predicted], predicted, lambda *_: None)
     np.testing.assert_allclose(found, BONE, atol=STEP_MM)
     assert drill.deepest > -2 * STEP_MM - 1e-9
+
+
+@pytest.mark.parametrize("drift", [-0.04, 0.04])
+def test_a_torque_whose_zero_drifts_is_no_contact(drift: float) -> None:
+    """40 % of the published cutting torque per minute, ten times what is usual, over twice the usual points."""
+    search, drill = finder(0.0)
+    drill.drift_per_s = drift * 0.22 / 6.0
+    places = [(0.3 * k, 0.0) for k in range(64)]
+    bone = [0.1 * x for x, _ in places]
+    found = search.find_all(places, [z + 0.5 for z in bone], bone, lambda *_: None)
+    np.testing.assert_allclose(found, bone, atol=1.5 * STEP_MM)
+    assert search.idle.mean != pytest.approx(0.08, abs=0.004), "it drifted by more than a touch"
+
+
+def test_bone_met_on_the_way_across_hardly_moves_the_zero() -> None:
+    search, drill = finder(-9.0)
+    search.hands.on_torque.append(search._hear)
+    drill.noise = 0.0
+    for _ in range(8):
+        drill.drift_per_s = 1.0
+        search.hands.watch(0.05)
+        search._follow_air()
+    assert search.idle.mean - 0.08 <= 8 * 0.25 * search.idle.sigma + 1e-12
 
 
 def test_what_the_first_points_teach_makes_the_later_ones_quick() -> None:

@@ -1,0 +1,121 @@
+"""The estimate of the thickness: what each cue may say, and that none may shout the others down."""
+
+import numpy as np
+import pytest
+from ledgers import PITCH_MM
+
+from milling.thickness import LOAD, LOAD_AT_MM, Thickness
+
+N = 8
+
+
+def fresh() -> Thickness:
+    return Thickness(N, low_mm=0.25, high_mm=0.6, pitch_mm=PITCH_MM)
+
+
+def weigh(estimate: Thickness, index: int, thickness_mm: float, to_mm: float, *, level: float = 1.0) -> None:
+    """Noiseless passes of 13 um down to ``to_mm``."""
+    for depth_mm in np.arange(0.065, to_mm + 1e-9, 0.013):
+        ratio = level * float(np.interp(depth_mm - thickness_mm, LOAD_AT_MM, LOAD))
+        estimate.weighed(index, float(depth_mm), ratio)
+
+
+def middle_mm(estimate: Thickness, index: int) -> float:
+    """Median of T."""
+    depths_mm = np.arange(0.05, 0.7, 0.001)
+    return float(np.interp(0.5, [estimate.through(index, float(depth)) for depth in depths_mm], depths_mm))
+
+
+def test_without_evidence_the_prior_stands() -> None:
+    estimate = fresh()
+    assert middle_mm(estimate, 3) == pytest.approx(0.425, abs=0.01)
+    assert estimate.through(3, 0.15) < 0.06
+    assert estimate.through(3, 0.7) > 0.95
+
+
+def test_probability_only_grows_with_depth() -> None:
+    estimate = fresh()
+    weigh(estimate, 2, 0.35, 0.4)
+    estimate.pictured(4, 0.3, 0.9)
+    for index in range(N):
+        steps = np.diff([estimate.through(index, float(depth)) for depth in np.arange(0.0, 0.9, 0.01)])
+        assert steps.min() >= -1e-12
+
+
+@pytest.mark.parametrize("thickness_mm", [0.28, 0.35, 0.42, 0.5])
+def test_load_alone_finds_the_thickness(thickness_mm: float) -> None:
+    estimate = fresh()
+    weigh(estimate, 0, thickness_mm, thickness_mm + 0.06)
+    assert middle_mm(estimate, 0) == pytest.approx(thickness_mm, abs=0.015)
+
+
+def test_load_of_bone_excludes_a_hole_above() -> None:
+    estimate = fresh()
+    weigh(estimate, 0, 0.9, 0.4)
+    assert estimate.through(0, 0.34) < 0.02
+
+
+@pytest.mark.parametrize(("completion", "excess_mm"), [(0.65, -0.12), (0.875, -0.03), (0.945, 0.0)])
+def test_pictures_of_one_point_tell_how_much_is_left(completion: float, excess_mm: float) -> None:
+    estimate = fresh()
+    for _ in range(5):
+        estimate.pictured(0, 0.4, completion)
+    assert middle_mm(estimate, 0) == pytest.approx(0.4 - excess_mm, abs=0.025)
+
+
+def test_one_bad_picture_changes_next_to_nothing() -> None:
+    estimate = fresh()
+    for completion in (0.8, 0.8, 1.0, 0.8, 0.8):
+        estimate.pictured(0, 0.4, completion)
+    alike = fresh()
+    for _ in range(5):
+        alike.pictured(0, 0.4, 0.8)
+    assert middle_mm(estimate, 0) == pytest.approx(middle_mm(alike, 0), abs=1e-6)
+
+
+def test_a_point_learns_from_its_neighbours_and_less_from_afar() -> None:
+    estimate = fresh()
+    for index in (3, 5):
+        weigh(estimate, index, 0.3, 0.36)
+    between, away = middle_mm(estimate, 4), middle_mm(estimate, 0)
+    assert between == pytest.approx(0.3, abs=0.02)
+    assert abs(away - 0.3) > abs(between - 0.3)
+
+
+def test_the_ring_is_closed() -> None:
+    estimate = fresh()
+    weigh(estimate, 0, 0.3, 0.36)
+    assert middle_mm(estimate, N - 1) == pytest.approx(middle_mm(estimate, 1), abs=2e-3)
+
+
+def test_cues_that_contradict_each_other_are_no_certainty() -> None:
+    """The picture has long said "through", the load has long said "bone", or the other way round."""
+    for shown, thickness_mm, depth_mm in ((1.0, 0.9, 0.4), (0.6, 0.3, 0.4)):
+        estimate = fresh()
+        weigh(estimate, 0, thickness_mm, depth_mm)
+        for _ in range(5):
+            estimate.pictured(0, depth_mm, shown)
+        alone = fresh()
+        weigh(alone, 0, thickness_mm, depth_mm)
+        doubt, sure = (min(p, 1 - p) for p in (e.through(0, depth_mm - 0.05) for e in (estimate, alone)))
+        assert doubt > 2 * sure
+
+
+def test_a_drifting_zero_is_no_breakthrough() -> None:
+    """All passes over certain bone lose a twentieth: that is the drive, not the bone."""
+    drifted, steady = fresh(), fresh()
+    for index in range(N):
+        for estimate, level in ((drifted, 0.93), (steady, 1.0)):
+            weigh(estimate, index, 0.45, 0.25, level=level)
+    for index in range(N):
+        for depth_mm in (0.26, 0.273, 0.286, 0.3):
+            drifted.weighed(index, depth_mm, 0.93)
+            steady.weighed(index, depth_mm, 1.0)
+    assert drifted.through(2, 0.3) < 2 * steady.through(2, 0.3) + 0.02
+
+
+def test_more_load_than_bone_takes_is_no_more_bone() -> None:
+    loud, plain = fresh(), fresh()
+    loud.weighed(0, 0.4, 3.0)
+    plain.weighed(0, 0.4, 1.0)
+    assert loud.through(0, 0.4) == pytest.approx(plain.through(0, 0.4))
