@@ -21,9 +21,18 @@ class Limits:
         left_risk: how probable it may be that a finished point has more than that left.
         unheard_mm: how deep a point may go, on passes whose load could not be weighed, past the low end of the prior or
             under a picture that may say "through".
+        bone_probability: under a picture of a hole a look gives ``unheard_mm`` back where bone is left with more than
+            this.
         said_mm: how far all other evidence may lead a point on from where the picture first said "through".
+        said_proven_mm: the same, once the load has proved that it knows a hole: drooped at ``proven_share`` of all
+            points, each under a picture that said so as well. A torque that never droops leads on for ``said_mm`` only.
+        proven_share: see there.
+        droop: a load below this share of what bone takes has drooped.
         frames: so many frames in a row make the picture say "through", or take it back.
         bone: completion, as the picture estimates it, below which it takes "through" back.
+        lost: two loads in a row below this share, and the load is lost; nothing but whole loads can overrule that.
+        whole: loads of at least this share, two in a row, are whole.
+        past_loss_mm: how far a point may go past where its load was lost.
         neighbour_mm: how much deeper than its shallower neighbour a point may go.
         looks: how often a point may be re-opened.
     """
@@ -41,8 +50,15 @@ class Limits:
     left_mm: float = 0.01
     left_risk: float = 0.03
     unheard_mm: float = 0.04
+    bone_probability: float = 0.5
     said_mm: float = 0.06
+    said_proven_mm: float = 0.15
+    proven_share: float = 0.125
+    droop: float = 0.85
     frames: int = 3
     bone: float = 0.9
+    lost: float = 0.6
+    whole: float = 0.9
+    past_loss_mm: float = 0.02
     neighbour_mm: float = 0.12
     looks: int = 6

@@ -4,6 +4,10 @@ A ball of radius r_d lowered by a bite sweeps, per unit of path, the bite times 
 long as there is bone below, that width is the chord at the depth cut; once the ball's lowest point is through, the
 middle of the chord is missing: 13 um past the inner surface already costs about a quarter of the load. So the ratio of
 measured to expected load falls at once at breakthrough, while the load itself only fades.
+
+Along the path the ball touches behind its lowest point where it goes down, and ahead of it where it comes up. So while
+it crosses a dip the contact covers more than the ball's way, by the share radius x curvature, and less over a hump:
+points left shallower than their neighbours would read as a breakthrough, and pits as bone.
 """
 
 from collections import deque
@@ -22,8 +26,9 @@ SOFT = 2.0
 delays a droop by a pass or two; too little would read the pause as a breakthrough."""
 LONG_PAUSE = 2
 """Passes without a bite."""
-ALONE = 0.85
-"""A ratio below this is a droop also where the neighbours take no bite."""
+BEND = 0.8
+"""Share of radius x curvature that the points' depths alone give: between them the path is rounder (measured)."""
+LEAST_BEND, MOST_BEND = 0.4, 2.5
 FLAP_SOFTENING = 1.0
 """How much more it gives way once the flap is free all round."""
 _HISTORY = 8
@@ -76,10 +81,22 @@ class LoadMeter:
     without a bite therefore cuts less than it was lowered by; not to expect that would read as a breakthrough.
     """
 
-    def __init__(self, n_points: int, idle: Idle, *, ball_radius_mm: float, sound_depth_mm: float) -> None:
-        """Compare with passes that ended above ``sound_depth_mm``, where there must be bone below."""
+    def __init__(
+        self, top_z_mm: Sequence[float], idle: Idle, *, pitch_mm: float, ball_radius_mm: float, sound_depth_mm: float
+    ) -> None:
+        """Compare with passes that ended above ``sound_depth_mm``, where there must be bone below.
+
+        Args:
+            top_z_mm: (n,) height of the path at depth zero at each point.
+            idle: torque of the air.
+            pitch_mm: from point to point.
+            ball_radius_mm: the cutter's ball.
+            sound_depth_mm: the least thickness of bone.
+        """
         self.idle = idle
-        self._n = n_points
+        self._top_z_mm = list(top_z_mm)
+        self._n = n_points = len(self._top_z_mm)
+        self._pitch_mm = pitch_mm
         self._ball_radius_mm = ball_radius_mm
         self._sound_depth_mm = sound_depth_mm
         self._reports: list[list[tuple[float, float, float]]] = [[] for _ in range(n_points)]
@@ -122,7 +139,7 @@ class LoadMeter:
         self._before_mm[index] = self._cut_mm[index]
         self._cut_mm[index] = _spring(bite_mm[index], self._before_mm[index], compliance)
         sweep = {
-            where: cut * chord_mm(depth_mm[where], self._ball_radius_mm)
+            where: cut * chord_mm(depth_mm[where], self._ball_radius_mm) * self._bend(where, depth_mm)
             for where, cut in (
                 (before, self._cut_mm[before]),
                 (index, self._cut_mm[index]),
@@ -151,12 +168,13 @@ class LoadMeter:
         if settled and steady and depth_mm[index] <= self._sound_depth_mm:
             self._sound[index].append(gain)
         ratio = gain / reference if settled and steady and reference is not None else None
-        alone = bite_mm[before] <= 0 and bite_mm[after] <= 0
-        if alone and ratio is not None and (long or ratio >= ALONE):
-            # A point that bites alone digs a pit, whose flanks are cut too: only a droop of its load is believed, and
-            # not that after a pause.
-            ratio = None
         return Feeling(ratio, self.idle.above(torques, 3.0), len(torques))
+
+    def _bend(self, index: int, depth_mm: Sequence[float]) -> float:
+        """How much more than its length a pass cuts here."""
+        z = [self._top_z_mm[k % self._n] - depth_mm[k % self._n] for k in (index - 1, index, index + 1)]
+        curvature = (z[0] - 2.0 * z[1] + z[2]) / self._pitch_mm**2
+        return min(max(1.0 + BEND * self._ball_radius_mm * curvature, LEAST_BEND), MOST_BEND)
 
     def _reference(self, index: int) -> float | None:
         """What bone took here so far, or all round while that is too little; None while that is too little as well."""

@@ -216,7 +216,11 @@ class _Run:
         )
         top = np.asarray(found)
         meter = LoadMeter(
-            job.n_points, finder.idle, ball_radius_mm=job.ball_radius_mm, sound_depth_mm=job.thickness_low_mm
+            found,
+            finder.idle,
+            pitch_mm=trajectory.length_mm / job.n_points,
+            ball_radius_mm=job.ball_radius_mm,
+            sound_depth_mm=job.thickness_low_mm,
         )
         bottom = top + self.offset[2] - job.ball_radius_mm
         return self._ring(trajectory, reference, top, bottom, ledger, ledger, meter)

@@ -59,19 +59,21 @@ class Ledger:
 
         Args:
             index: the point, counted from 0.
-            ratio: load against what bone takes; None while that cannot be known.
+            ratio: load against what bone takes; None while that cannot be known. More than bone takes tells nothing.
             above_idle: whether there was any load at all.
         """
         point = self._points[index]
         if ratio is not None:
-            self.thickness.weighed(index, point.cut_mm, ratio)
             self._stale = True
+            if not self.thickness.weighed(index, point.cut_mm, ratio):
+                ratio = None
         point.felt(ratio=ratio, above_idle=above_idle)
 
     def ask(self, index: int, *, bite_mm: float, now_s: float, frame_at_s: float) -> Grant:
         """How deep the tip may go at this visit. Asking again within one visit never adds to it."""
         point, self._bite_mm = self.points[index], bite_mm
-        grant = point.judge(bite_mm, now_s, frame_at_s, self._shallower_neighbour_mm(index) + self.limits.neighbour_mm)
+        deepest_mm = self._shallower_neighbour_mm(index) + self.limits.neighbour_mm
+        grant = point.judge(bite_mm, now_s, frame_at_s, deepest_mm=deepest_mm, said_mm=self._said_mm)
         if grant.deeper and self._too_deep(index, grant.depth_mm):
             grant = Grant(point.cut_mm, False, "the bite may lead too deep")
         if grant.deeper:
@@ -160,6 +162,12 @@ class Ledger:
             point.rest("probably through")
         elif self._too_deep(index, point.next_mm(self._bite_mm)):
             point.rest("may be through: the next bite may lead too deep")
+
+    @property
+    def _said_mm(self) -> float:
+        """How far a picture that says "through" may be overruled: farther by a load that drooped at other points."""
+        proven = sum(point.agreed for point in self._points) >= self.limits.proven_share * len(self._points)
+        return self.limits.said_proven_mm if proven else self.limits.said_mm
 
     def _too_deep(self, index: int, depth_mm: float) -> bool:
         return self.thickness.through(index, depth_mm - self.limits.past_mm) > self.limits.past_risk

@@ -52,6 +52,12 @@ class Point:
     """Where the picture first said "through", until it takes that back."""
     frames: int = 0
     """Frames in a row that contradict ``said_mm``."""
+    lost_mm: float | None = None
+    """Where next to no load was left, until whole loads refute it."""
+    droops: int = 0
+    """Passes in a row whose load drooped."""
+    agreed: bool = False
+    """Whether its load drooped where its picture said "through"."""
     left_probability: float = 1.0
     """Of bone that would hold the flap, here."""
     state: PointState = PointState.OPEN
@@ -83,7 +89,14 @@ class Point:
     def felt(self, *, ratio: float | None, above_idle: bool) -> None:
         """The spindle load of a pass that took a bite here; see ``Ledger.felt``."""
         if ratio is not None:
+            both = (ratio, self.load_ratio if self.load_ratio is not None else 1.0)
+            if max(both) < self.limits.lost and self.lost_mm is None:
+                self.lost_mm = self.cut_mm
+            elif min(both) >= self.limits.whole:
+                self.lost_mm = None
             self.load_ratio, self.unheard_mm = ratio, 0.0
+            self.droops = self.droops + 1 if ratio < self.limits.droop else 0
+            self.agreed = self.agreed or (self.droops >= 2 and self.said_mm is not None)
         self.load_above_idle = above_idle or self.cut_mm <= self.limits.entry_mm
         if not self.load_above_idle:
             self.stop("no load at the last pass")
@@ -103,8 +116,16 @@ class Point:
             self.unheard_mm += depth_mm - self.cut_mm
             self.cut_mm = depth_mm
 
-    def judge(self, bite_mm: float, now_s: float, frame_at_s: float, deepest_mm: float) -> Grant:
-        """How deep the tip may go at this visit, where its neighbours allow ``deepest_mm``."""
+    def judge(self, bite_mm: float, now_s: float, frame_at_s: float, *, deepest_mm: float, said_mm: float) -> Grant:
+        """How deep the tip may go at this visit.
+
+        Args:
+            bite_mm: the bite that is asked for.
+            now_s: the time.
+            frame_at_s: when the newest frame was exposed.
+            deepest_mm: the depth that its neighbours allow.
+            said_mm: the way on that is allowed from where the picture first said "through".
+        """
         limits = self.limits
         if self.state is not PointState.OPEN:
             return self._no(self.why)
@@ -124,7 +145,9 @@ class Point:
         doubtful = depth_mm > limits.thickness_low_mm or self.upper >= limits.threshold
         if doubtful and self.unheard_mm + depth_mm - self.cut_mm > limits.unheard_mm + ROUNDING_MM:
             return self.stop("it may be through, and its load is not known")
-        if self.said_mm is not None and depth_mm > self.said_mm + limits.said_mm + ROUNDING_MM:
+        if self.lost_mm is not None and depth_mm > self.lost_mm + limits.past_loss_mm + ROUNDING_MM:
+            return self.stop("the load is lost")
+        if self.said_mm is not None and depth_mm > self.said_mm + said_mm + ROUNDING_MM:
             return self.stop("the picture has said through for too long")
         if depth_mm > deepest_mm:
             return self._no("waits for its neighbours")
@@ -164,7 +187,8 @@ class Point:
         # A look that followed no bite (its neighbours kept the point waiting) told nothing new.
         self.looks += self.cut_mm > self.looked_at_mm
         self.looked_at_mm = self.cut_mm
-        if self.upper is not None and self.upper < self.limits.threshold:
+        hole_excluded = self.upper is not None and self.upper < self.limits.threshold
+        if hole_excluded or self.left_probability > self.limits.bone_probability:
             self.unheard_mm = 0.0
         self.load_above_idle, self.resting = True, False
         self.state, self.why = PointState.OPEN, "re-opened after a look"

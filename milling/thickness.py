@@ -14,7 +14,7 @@ none may ever weigh more than its floor lets it: where two contradict each other
 from collections import deque
 from collections.abc import Sequence
 from math import hypot
-from statistics import fmean, median
+from statistics import median
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +36,8 @@ BONE_PASSES = 48
 """Passes over what is bone for certain, whose median load counts as 1: the torque of the air drifts."""
 BONE_PASSES_LEAST = 16
 MOST_DRIFT = 0.1
+MOST_LOAD = 1.15
+"""More than bone takes: a pit, whose flanks are cut, or a ridge. It says nothing about what is below the ball."""
 SETTLED_MM = 0.12
 CERTAIN_MM = 0.02
 CERTAIN = 0.05
@@ -86,17 +88,20 @@ class Thickness:
         self._below: Floats | None = None
         """(n, grid) probability that T is below; None where evidence came since."""
 
-    def weighed(self, index: int, depth_mm: float, ratio: float) -> None:
-        """A pass that ended at ``depth_mm`` took ``ratio`` of what bone takes."""
+    def weighed(self, index: int, depth_mm: float, ratio: float) -> bool:
+        """A pass that ended at ``depth_mm`` took ``ratio`` of what bone takes; whether that tells anything."""
         if depth_mm > SETTLED_MM and self.through(index, depth_mm + CERTAIN_MM) < CERTAIN:
             self._bone.append(ratio)
         level = 1.0
         if len(self._bone) >= BONE_PASSES_LEAST:
             level = min(max(median(self._bone), 1 - MOST_DRIFT), 1 + MOST_DRIFT)
+        if ratio / level > MOST_LOAD:
+            return False
         expected = np.interp(depth_mm - self._grid, LOAD_AT_MM, LOAD)
-        # More load than bone takes is no more bone.
+        # A little more load than bone takes is no more bone.
         self._load[index] -= 0.5 * ((min(ratio / level, 1.0) - expected) / LOAD_SIGMA) ** 2
         self._below = None
+        return True
 
     def pictured(self, index: int, depth_mm: float, completion: float) -> None:
         """A picture of the point, cut to ``depth_mm``, reads as ``completion``."""
@@ -111,29 +116,30 @@ class Thickness:
 
     def _posterior(self) -> Floats:
         load = np.maximum(np.exp(self._load - self._load.max(axis=1, keepdims=True)), LOAD_FLOOR)
-        shifted = np.stack([self._pictures(shift_mm) for shift_mm in SHIFTS_MM])
+        shifted = self._pictures()
         evidence = np.log((shifted * load * self._prior).sum(axis=2)).sum(axis=1)
         evidence -= 0.5 * (np.asarray(SHIFTS_MM) / SHIFT_SIGMA_MM) ** 2
         weight = np.exp(evidence - evidence.max())
         return self._round_the_ring(load * np.tensordot(weight / weight.sum(), shifted, axes=1))
 
-    def _pictures(self, shift_mm: float) -> Floats:
-        """(n, grid) likelihood of the newest pictures, if all of them are wrong by ``shift_mm``."""
-        likelihood = np.ones_like(self._load)
+    def _pictures(self) -> Floats:
+        """(shifts, n, grid) likelihood of the newest pictures, if all of them are wrong by each shift."""
+        likelihood = np.ones((len(SHIFTS_MM), *self._load.shape))
         shown = [index for index in range(self._n) if self._seen[index]]
         if not shown:
             return likelihood
-        completion = np.array([median(value for value, _ in self._seen[index]) for index in shown])[:, None]
-        depth_mm = np.array([fmean(depth for _, depth in self._seen[index]) for index in shown])[:, None]
-        excess_mm = depth_mm - self._grid - shift_mm
+        newest = [sorted(self._seen[index])[len(self._seen[index]) // 2] for index in shown]
+        completion, depth_mm = np.array(newest).T[:, :, None]
+        excess_mm = depth_mm - self._grid - np.asarray(SHIFTS_MM)[:, None, None]
         at_mm = np.interp(completion, COMPLETION, COMPLETION_AT_MM)
         sigmas = (excess_mm - at_mm) / np.interp(completion, COMPLETION, COMPLETION_SIGMA_MM)
         said = np.exp(-0.5 * sigmas**2)
         # Below half it only says that there is bone, from the other end on only that there is a hole.
-        said = np.where(completion < COMPLETION[0], ndtr(-sigmas), said)
-        said = np.where(completion >= COMPLETION[-1], ndtr((excess_mm - HOLE_AT_MM) / HOLE_SIGMA_MM), said)
-        said /= np.maximum(said.max(axis=1, keepdims=True), 1e-12)
-        likelihood[shown] = np.maximum(said, PICTURE_FLOOR)
+        bone, hole = completion[:, 0] < COMPLETION[0], completion[:, 0] >= COMPLETION[-1]
+        said[:, bone] = ndtr(-sigmas[:, bone])
+        said[:, hole] = ndtr((excess_mm[:, hole] - HOLE_AT_MM) / HOLE_SIGMA_MM)
+        said /= np.maximum(said.max(axis=2, keepdims=True), 1e-12)
+        likelihood[:, shown] = np.maximum(said, PICTURE_FLOOR)
         return likelihood
 
     def _round_the_ring(self, likelihood: Floats) -> Floats:

@@ -12,29 +12,40 @@ from milling.point import PointState
 
 def test_erratum_8_no_percentage_of_a_completion_of_zero_enters_the_loop() -> None:
     """A point with a true completion of 0 is milled by its upper bound and its depth: nothing divides by it."""
-    ledger = Ledger(1, Limits())
+    ledger = Ledger(1, Limits(), pitch_mm=0.4)
     ledger.touched(0)
     ledger.seen(0, completion=0.0, upper=0.0, exposed_at_s=0.5)
     assert ledger.ask(0, bite_mm=0.01, now_s=1.0, frame_at_s=1.0).deeper
-    for _ in range(2):
+    for depth_mm in (0.01, 0.02):
+        ledger.ask(0, bite_mm=0.01, now_s=1.0, frame_at_s=1.0)
+        ledger.passed(0, depth_mm=depth_mm, now_s=1.1)
+        ledger.seen(0, completion=0.0, upper=0.0, exposed_at_s=1.2)
+        assert np.isfinite(ledger.points[0].left_probability)
         ledger.stall()
         ledger.look(0)
-    assert ledger.points[0].allowance_mm is not None
-    assert np.isfinite(ledger.points[0].allowance_mm)
 
 
 def test_erratum_9_the_stop_rule_has_a_threshold_below_one() -> None:
     assert Job().completion_threshold < 1.0
-    ledger = Ledger(1, Limits())
+    ledger = Ledger(1, Limits(), pitch_mm=0.4)
     ledger.touched(0)
-    for at_s in (1.0, 1.1):
-        ledger.seen(0, completion=0.9, upper=Job().completion_threshold, exposed_at_s=at_s)
+    for frame in range(Limits().frames):
+        ledger.seen(0, completion=0.9, upper=Job().completion_threshold, exposed_at_s=1.0 + frame)
+    assert ledger.points[0].said_mm is not None
+    now_s = 10.0
+    for _ in range(60):
+        grant = ledger.ask(0, bite_mm=0.013, now_s=now_s, frame_at_s=now_s)
+        ledger.passed(0, depth_mm=grant.depth_mm, now_s=now_s + 0.1)
+        ledger.felt(0, ratio=1.0, above_idle=True)
+        ledger.seen(0, completion=0.9, upper=Job().completion_threshold, exposed_at_s=now_s + 0.2)
+        now_s += 3.0
+    assert 0.0 < ledger.cut_mm(0) <= Limits().said_mm
     assert ledger.points[0].state is PointState.STOPPED
 
 
 def test_erratum_9_there_is_a_depth_limit_under_a_picture_that_never_says_done() -> None:
     """The paper's one failure: the network reads 0.3 for ever. The load alone ends it; without load the prior does."""
-    ledger = Ledger(1, Limits())
+    ledger = Ledger(1, Limits(), pitch_mm=0.4)
     ledger.touched(0)
     now_s = 1.0
     for _ in range(500):
@@ -51,7 +62,7 @@ def test_erratum_9_there_is_a_depth_limit_under_a_picture_that_never_says_done()
 def test_erratum_9_there_is_a_rule_for_disagreement() -> None:
     """Load gone, picture of bone: at most one small bite more, then no further until a look with the drill lifted."""
     limits = Limits()
-    ledger = Ledger(1, limits)
+    ledger = Ledger(1, limits, pitch_mm=0.4)
     ledger.touched(0)
     now_s = 1.0
     lost_at_mm = None

@@ -4,11 +4,13 @@ from math import sqrt
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from milling.load import Idle, LoadMeter, chord_mm
 
 IDLE = Idle(0.08, 0.01)
 GAIN = 16.0
+PITCH_MM = 0.4
 
 
 def passes(
@@ -38,7 +40,7 @@ def sprung(bites: list[float], compliance: float) -> list[float]:
 
 
 def meter() -> LoadMeter:
-    return LoadMeter(3, IDLE, ball_radius_mm=0.5, sound_depth_mm=0.25)
+    return LoadMeter([0.0] * 3, IDLE, pitch_mm=PITCH_MM, ball_radius_mm=0.5, sound_depth_mm=0.25)
 
 
 def test_bone_reads_as_one() -> None:
@@ -68,15 +70,25 @@ def test_a_pause_is_not_a_breakthrough(paused: int, silent: int) -> None:
         assert all(ratio is not None and ratio > 0.85 for ratio in ratios[14 + silent :])
 
 
-def test_a_point_that_bites_alone_is_not_weighed() -> None:
-    """The flanks of the pit that it digs are cut as well."""
-    pit, bites = meter(), [0.013] * 14
-    passes(pit, sprung(bites, 0.6), bites)
-    for offset in np.linspace(-0.4, 0.4, 8):
-        pit.report(1, 0.3, offset=float(offset), speed=1.0)
-    feeling = pit.leave(1, bite_mm=[0.0, 0.013, 0.0], depth_mm=[0.182, 0.195, 0.182])
-    assert feeling is not None
-    assert feeling.ratio is None
+def contact_mm(path: CubicSpline, ball_mm: float) -> float:
+    """Where a ball, its lowest point following ``path``, touches what all its other places leave standing."""
+    x = ball_mm + np.linspace(-0.2, 0.2, 2001)
+    centres = np.linspace(-0.8, 0.8, 3201)
+    heights = path(centres)[None, :] - np.sqrt(np.maximum(0.25 - (x[:, None] - centres) ** 2, 0.0))
+    floor = np.where(np.abs(x[:, None] - centres) < 0.5, heights, np.inf).min(axis=1)
+    own = path(ball_mm) - np.sqrt(0.25 - (x - ball_mm) ** 2)
+    return float(x[np.argmin(own - floor)])
+
+
+@pytest.mark.parametrize("dip_mm", [-0.04, -0.02, 0.02, 0.05])
+def test_dips_and_humps_of_the_path_are_expected(dip_mm: float) -> None:
+    """While a ball crosses a dip its contact covers more than its way: so much more load is that of bone."""
+    depths = [0.2, 0.2, 0.2 + dip_mm, 0.2, 0.2]
+    path = CubicSpline(np.array([-2, -1, 0, 1, 2]) * PITCH_MM, -np.array(depths))
+    covered = contact_mm(path, PITCH_MM / 2) - contact_mm(path, -PITCH_MM / 2)
+    ring = LoadMeter([0.0] * 5, IDLE, pitch_mm=PITCH_MM, ball_radius_mm=0.5, sound_depth_mm=0.25)
+    assert (covered > PITCH_MM) is (dip_mm > 0)
+    assert ring._bend(2, depths) == pytest.approx(covered / PITCH_MM, rel=0.15)
 
 
 def test_a_slow_ball_is_not_a_breakthrough() -> None:

@@ -101,16 +101,58 @@ def test_passes_that_cannot_be_weighed_end_soon_past_the_low_end_of_the_prior() 
     assert "its load is not known" in ledger.points[0].why
 
 
-def test_unweighed_under_a_picture_of_a_hole_a_look_gives_nothing_back() -> None:
+def test_a_load_that_is_lost_bounds_the_depth_whatever_else_is_known() -> None:
+    ledger = touched()
+    now_s = dig(ledger, 0, 0.15)
+    for ratio in (0.5, 0.5):
+        visit(ledger, 0, now_s, ratio=ratio)
+        now_s += 3.0
+    lost_mm = ledger.cut_mm(0)
+    for _ in range(20):
+        ledger.stall()
+        ledger.look(0)
+        visit(ledger, 0, now_s, ratio=0.8)
+        now_s += 3.0
+    assert ledger.cut_mm(0) <= lost_mm + LIMITS.past_loss_mm + 1e-9
+
+
+def test_whole_loads_refute_a_lost_one() -> None:
+    ledger = touched()
+    now_s = dig(ledger, 0, 0.15)
+    for ratio in (0.5, 0.5, 1.0, 1.0):
+        ledger.felt(0, ratio=ratio, above_idle=True)
+    lost_mm = ledger.cut_mm(0)
+    for _ in range(6):
+        visit(ledger, 0, now_s)
+        now_s += 3.0
+    assert ledger.cut_mm(0) > lost_mm + 2 * LIMITS.past_loss_mm
+
+
+def test_a_load_proved_at_other_points_may_overrule_the_picture_farther() -> None:
+    depths = []
+    for proven in (False, True):
+        ledger = touched(16)
+        now_s = dig(ledger, 0, 0.15)
+        for point in ledger.points[4:8]:
+            point.agreed = proven
+        for _ in range(60):
+            visit(ledger, 0, now_s, completion=0.93, ratio=1.0)
+            ledger.points[0].upper = 1.0
+            now_s += 3.0
+        depths.append(ledger.cut_mm(0))
+    assert depths[1] > depths[0] + LIMITS.said_mm / 2
+
+
+def test_unweighed_under_a_picture_of_a_hole_a_look_gives_nothing_back_by_itself() -> None:
     ledger = touched()
     now_s = dig(ledger, 0, 0.3)
     for _ in range(10):
-        visit(ledger, 0, now_s, completion=0.93, ratio=None)
+        visit(ledger, 0, now_s, completion=0.99, ratio=None)
         now_s += 3.0
     stopped_mm = ledger.cut_mm(0)
     for _ in range(10):
         ledger.look(0)
-        visit(ledger, 0, now_s, completion=0.93, ratio=None)
+        visit(ledger, 0, now_s, completion=0.99, ratio=None)
         now_s += 3.0
     assert ledger.cut_mm(0) == stopped_mm
 

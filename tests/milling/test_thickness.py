@@ -114,8 +114,10 @@ def test_a_drifting_zero_is_no_breakthrough() -> None:
     assert drifted.through(2, 0.3) < 2 * steady.through(2, 0.3) + 0.02
 
 
-def test_more_load_than_bone_takes_is_no_more_bone() -> None:
-    loud, plain = fresh(), fresh()
-    loud.weighed(0, 0.4, 3.0)
-    plain.weighed(0, 0.4, 1.0)
+def test_a_little_more_load_than_bone_takes_is_no_more_bone_and_much_more_is_nothing() -> None:
+    loud, plain, pit, none = fresh(), fresh(), fresh(), fresh()
+    assert loud.weighed(0, 0.4, 1.1)
+    assert plain.weighed(0, 0.4, 1.0)
+    assert not pit.weighed(0, 0.4, 1.4)
     assert loud.through(0, 0.4) == pytest.approx(plain.through(0, 0.4))
+    assert pit.through(0, 0.4) == pytest.approx(none.through(0, 0.4))

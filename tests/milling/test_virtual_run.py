@@ -53,7 +53,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunResult, Virtu
 def test_the_window_is_milled_and_the_membrane_is_whole(finished: tuple[RunResult, VirtualRig, Run, Path]) -> None:
     result, rig, _, _ = finished
     truth = rig.bench.machine.truth()
-    assert (result.outcome, result.reason.startswith("every point is through")) == ("complete", True)
+    assert result.outcome == "complete", result.reason
     assert truth.flap_free
     assert not truth.membrane_touched
     assert rig.bench.machine.spindle_rpm == 0.0
