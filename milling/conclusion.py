@@ -4,8 +4,8 @@ from milling.permission import Ledger
 from milling.point import PointState
 from milling.result import Outcome
 
-LEFT_SHARE = 0.04
-"""Of the ring that may hold the flap, as far as is known; the published criterion of a window allows 0.05 in truth."""
+BRIDGE_SHARE = 0.04
+"""Of the ring that may be bridges, as far as is known; the published criterion allows 0.05 in truth."""
 
 
 def conclude(ledger: Ledger) -> tuple[Outcome, str]:
@@ -14,6 +14,7 @@ def conclude(ledger: Ledger) -> tuple[Outcome, str]:
     if not left:
         return "complete", "every point is through, judged again with the drill aside"
     names = ", ".join(f"{index + 1} ({ledger.points[index].why})" for index in left)
-    if sum(point.left_probability for point in ledger.points) <= LEFT_SHARE * len(ledger.points):
+    bridges = sum(point.left_probability for point in ledger.points)
+    if bridges <= BRIDGE_SHARE * len(ledger.points):
         return "complete", f"the flap can be lifted, though these points are not through for certain: {names}"
     return "held", f"these points may not be through, and no look may re-open them: {names}"

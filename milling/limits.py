@@ -17,10 +17,12 @@ class Limits:
         past_mm: how far past the inner surface a point may be, for all that is known. A membrane lies 70 um below it at
             least; the rest is run-out and slope.
         past_risk: how probable it may be that the next bite leads farther than that.
-        left_mm: a bridge that thin holds no flap.
+        left_mm: bone that thin holds no flap; the published criterion says 30 um.
         left_risk: how probable it may be that a finished point has more than that left.
         unheard_mm: how deep a point may go, on passes whose load could not be weighed, past the low end of the prior or
             under a picture that may say "through".
+        early_share: a picture that says "through" above so much of the low end of the prior is not believed at that
+            point, until it takes it back.
         bone_probability: under a picture of a hole a look gives ``unheard_mm`` back where bone is left with more than
             this.
         said_mm: how far all other evidence may lead a point on from where the picture first said "through".
@@ -45,11 +47,12 @@ class Limits:
     threshold: float = 0.995
     entry_mm: float = 0.03
     frame_age_s: float = 0.1
-    past_mm: float = 0.055
+    past_mm: float = 0.05
     past_risk: float = 0.1
-    left_mm: float = 0.01
-    left_risk: float = 0.03
+    left_mm: float = 0.02
+    left_risk: float = 0.04
     unheard_mm: float = 0.04
+    early_share: float = 0.8
     bone_probability: float = 0.5
     said_mm: float = 0.06
     said_proven_mm: float = 0.15

@@ -19,11 +19,8 @@ from statistics import fmean, median, pstdev
 LEAST_SAMPLES = 3
 SETTLED_MM = 0.06
 """Depth below contact from which the load follows the chord: above it, contact's uncertainty rules."""
-COMPLIANCE = 0.8
-"""How far bone gives way under a pass, as a share of what the pass cuts: 16 N/mm at published feed and removal rate."""
-SOFT = 2.0
-"""The same after a long pause, when the bone has sprung back as a whole and the flap hangs by little. Too much here
-delays a droop by a pass or two; too little would read the pause as a breakthrough."""
+COMPLIANCE = 0.9
+"""How far bone gives way under a pass, as a share of what the pass cuts: 15 N/mm at published feed and removal rate."""
 LONG_PAUSE = 2
 """Passes without a bite."""
 BEND = 0.8
@@ -133,8 +130,7 @@ class LoadMeter:
             depth_mm: (n,) depths of the same.
             freed: share of the ring that is through.
         """
-        softer = 1.0 + FLAP_SOFTENING * freed
-        compliance = softer * (SOFT if self._paused[index] >= LONG_PAUSE else COMPLIANCE)
+        compliance = COMPLIANCE * (1.0 + FLAP_SOFTENING * freed)
         before, after = (index - 1) % self._n, (index + 1) % self._n
         self._before_mm[index] = self._cut_mm[index]
         self._cut_mm[index] = _spring(bite_mm[index], self._before_mm[index], compliance)

@@ -51,7 +51,10 @@ class Ledger:
         """A frame shows the point. Pictures older than what is known, or not of this world, are ignored."""
         point = self._points[index]
         if point.seen(completion=completion, upper=upper, exposed_at_s=exposed_at_s) and point.cut_mm > 0:
-            self.thickness.pictured(index, point.cut_mm, completion)
+            if point.incredible:
+                self.thickness.forget_pictures(index)
+            else:
+                self.thickness.pictured(index, point.cut_mm, completion)
             self._stale = True
 
     def felt(self, index: int, *, ratio: float | None, above_idle: bool) -> None:
@@ -59,14 +62,13 @@ class Ledger:
 
         Args:
             index: the point, counted from 0.
-            ratio: load against what bone takes; None while that cannot be known. More than bone takes tells nothing.
+            ratio: load against what bone takes; None while that cannot be known.
             above_idle: whether there was any load at all.
         """
         point = self._points[index]
         if ratio is not None:
             self._stale = True
-            if not self.thickness.weighed(index, point.cut_mm, ratio):
-                ratio = None
+            self.thickness.weighed(index, point.cut_mm, ratio)
         point.felt(ratio=ratio, above_idle=above_idle)
 
     def ask(self, index: int, *, bite_mm: float, now_s: float, frame_at_s: float) -> Grant:

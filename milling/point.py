@@ -49,7 +49,9 @@ class Point:
     unheard_mm: float = 0.0
     """Depth gained since a pass was last weighed."""
     said_mm: float | None = None
-    """Where the picture first said "through", until it takes that back."""
+    """Where the picture first said "through", until it takes that back; the low end of the prior, if it was above."""
+    incredible: bool = False
+    """Whether the picture says "through" since where no skull is thin enough for that."""
     frames: int = 0
     """Frames in a row that contradict ``said_mm``."""
     lost_mm: float | None = None
@@ -83,7 +85,9 @@ class Point:
         contradicts = upper >= limits.threshold if self.said_mm is None else completion < limits.bone
         self.frames = self.frames + 1 if contradicts else 0
         if self.frames >= limits.frames:
-            self.said_mm, self.frames = (self.cut_mm if self.said_mm is None else None), 0
+            says, self.frames = self.said_mm is None, 0
+            self.said_mm = max(self.cut_mm, limits.thickness_low_mm) if says else None
+            self.incredible = says and self.cut_mm < limits.early_share * limits.thickness_low_mm
         return True
 
     def felt(self, *, ratio: float | None, above_idle: bool) -> None:
@@ -142,7 +146,9 @@ class Point:
         depth_mm = self.next_mm(bite_mm)
         if depth_mm > limits.thickness_high_mm:
             return self.stop("the high end of the thickness prior is reached")
-        doubtful = depth_mm > limits.thickness_low_mm or self.upper >= limits.threshold
+        # No picture is believed that sees a hole in half of the thinnest bone: there the load cannot be weighed yet.
+        holed = self.upper >= limits.threshold and depth_mm > limits.thickness_low_mm / 2
+        doubtful = holed or depth_mm > limits.thickness_low_mm
         if doubtful and self.unheard_mm + depth_mm - self.cut_mm > limits.unheard_mm + ROUNDING_MM:
             return self.stop("it may be through, and its load is not known")
         if self.lost_mm is not None and depth_mm > self.lost_mm + limits.past_loss_mm + ROUNDING_MM:

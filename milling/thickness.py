@@ -3,7 +3,7 @@
 T is the depth, below a point's own contact, at which the ball comes through. Every cue says something about the
 excess x = depth - T, and says it with a known error (decision 0025; ``python -m studies.cue_errors`` measures both):
 
-- the load of a pass, against what bone takes, falls from 0.98 at x = -15 um to 0.73 at x = +57 um;
+- the load of a pass, against what bone takes, falls from 0.97 at x = -15 um to 0.73 at x = +57 um;
 - the completion read from a picture is 0.9 at x = -20 um and 0.98 at x = +15 um, shifted by some 18 um per specimen;
 - bone does not change its thickness much from one point to the next.
 
@@ -26,18 +26,18 @@ GRID_MM = 0.005
 LOWEST_MM = 0.05
 
 LOAD_AT_MM = (-0.05, -0.015, -0.005, 0.005, 0.015, 0.025, 0.035, 0.045, 0.057, 0.08, 0.12)
-LOAD = (1.0, 0.98, 0.967, 0.95, 0.925, 0.88, 0.82, 0.775, 0.725, 0.66, 0.58)
+LOAD = (1.0, 0.97, 0.96, 0.95, 0.94, 0.89, 0.845, 0.79, 0.725, 0.66, 0.58)
 """Load, as a share of what bone takes, at those excesses."""
-LOAD_SIGMA = 0.12
-"""Of one pass; 0.09 was measured, more is used because errors of passes that follow each other are alike."""
+LOAD_SIGMA = 0.11
+"""Of one pass; 0.08 to 0.1 was measured, more is used because errors of passes that follow each other are alike."""
 LOAD_FLOOR = 3e-4
 """What all passes of a point together may weigh at most."""
 BONE_PASSES = 48
 """Passes over what is bone for certain, whose median load counts as 1: the torque of the air drifts."""
 BONE_PASSES_LEAST = 16
 MOST_DRIFT = 0.1
-MOST_LOAD = 1.15
-"""More than bone takes: a pit, whose flanks are cut, or a ridge. It says nothing about what is below the ball."""
+MOST_LOAD = 1.2
+"""More than bone takes: something else is cut as well, and says nothing about what is below the ball."""
 SETTLED_MM = 0.12
 CERTAIN_MM = 0.02
 CERTAIN = 0.05
@@ -88,25 +88,30 @@ class Thickness:
         self._below: Floats | None = None
         """(n, grid) probability that T is below; None where evidence came since."""
 
-    def weighed(self, index: int, depth_mm: float, ratio: float) -> bool:
-        """A pass that ended at ``depth_mm`` took ``ratio`` of what bone takes; whether that tells anything."""
+    def weighed(self, index: int, depth_mm: float, ratio: float) -> None:
+        """A pass that ended at ``depth_mm`` took ``ratio`` of what bone takes."""
         if depth_mm > SETTLED_MM and self.through(index, depth_mm + CERTAIN_MM) < CERTAIN:
             self._bone.append(ratio)
         level = 1.0
         if len(self._bone) >= BONE_PASSES_LEAST:
             level = min(max(median(self._bone), 1 - MOST_DRIFT), 1 + MOST_DRIFT)
         if ratio / level > MOST_LOAD:
-            return False
+            return
         expected = np.interp(depth_mm - self._grid, LOAD_AT_MM, LOAD)
         # A little more load than bone takes is no more bone.
         self._load[index] -= 0.5 * ((min(ratio / level, 1.0) - expected) / LOAD_SIGMA) ** 2
         self._below = None
-        return True
 
     def pictured(self, index: int, depth_mm: float, completion: float) -> None:
         """A picture of the point, cut to ``depth_mm``, reads as ``completion``."""
         self._seen[index].append((completion, depth_mm))
         self._below = None
+
+    def forget_pictures(self, index: int) -> None:
+        """What was seen of the point tells nothing."""
+        if self._seen[index]:
+            self._seen[index].clear()
+            self._below = None
 
     def through(self, index: int, depth_mm: float) -> float:
         """Probability that the ball, at ``depth_mm`` below contact, has come through: P(T < depth)."""

@@ -10,7 +10,7 @@ from milling.point import PointState
 
 
 def milled(left: list[float]) -> Ledger:
-    """32 finished points, but for some whose probability of bone is ``left``."""
+    """32 finished points, but for some whose probability of a bridge is ``left``."""
     ledger = Ledger(32, Limits(), pitch_mm=PITCH_MM)
     for point in ledger.points:
         point.state, point.left_probability = PointState.DONE, 0.01

@@ -45,6 +45,18 @@ def test_a_completion_that_is_stuck_high_is_held_and_never_called_complete() -> 
     assert max(bone.excess_mm) < 0.075
 
 
+def test_a_picture_of_a_hole_where_no_skull_is_thin_enough_is_not_believed_until_it_takes_it_back() -> None:
+    ledger = touched()
+    now_s = dig(ledger, 0, 0.1)
+    for frame in range(LIMITS.frames + 5):
+        ledger.seen(0, completion=1.0, upper=1.0, exposed_at_s=now_s + frame)
+    assert ledger.points[0].incredible
+    assert ledger.points[0].left_probability > 0.95
+    for frame in range(LIMITS.frames):
+        ledger.seen(0, completion=0.5, upper=0.6, exposed_at_s=now_s + 100 + frame)
+    assert not ledger.points[0].incredible
+
+
 def test_a_load_that_never_droops_is_stopped_by_the_picture() -> None:
     bone = Bone(wavy(32, 8), seed=8)
     bone.ratio = lambda _: 1.0  # type: ignore[method-assign]
@@ -119,7 +131,7 @@ def test_a_load_that_is_lost_bounds_the_depth_whatever_else_is_known() -> None:
 def test_whole_loads_refute_a_lost_one() -> None:
     ledger = touched()
     now_s = dig(ledger, 0, 0.15)
-    for ratio in (0.5, 0.5, 1.0, 1.0):
+    for ratio in (0.5, 0.5, *[1.0] * 5):
         ledger.felt(0, ratio=ratio, above_idle=True)
     lost_mm = ledger.cut_mm(0)
     for _ in range(6):
