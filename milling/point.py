@@ -56,8 +56,6 @@ class Point:
     """Frames in a row that contradict ``said_mm``."""
     lost_mm: float | None = None
     """Where next to no load was left, until whole loads refute it."""
-    droops: int = 0
-    """Passes in a row whose load drooped."""
     agreed: bool = False
     """Whether its load drooped where its picture said "through"."""
     left_probability: float = 1.0
@@ -99,8 +97,7 @@ class Point:
             elif min(both) >= self.limits.whole:
                 self.lost_mm = None
             self.load_ratio, self.unheard_mm = ratio, 0.0
-            self.droops = self.droops + 1 if ratio < self.limits.droop else 0
-            self.agreed = self.agreed or (self.droops >= 2 and self.said_mm is not None)
+            self.agreed = self.agreed or (ratio < self.limits.droop and self.said_mm is not None)
         self.load_above_idle = above_idle or self.cut_mm <= self.limits.entry_mm
         if not self.load_above_idle:
             self.stop("no load at the last pass")

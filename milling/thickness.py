@@ -4,7 +4,8 @@ T is the depth, below a point's own contact, at which the ball comes through. Ev
 excess x = depth - T, and says it with a known error (decision 0025; ``python -m studies.cue_errors`` measures both):
 
 - the load of a pass, against what bone takes, falls from 0.97 at x = -15 um to 0.73 at x = +57 um;
-- the completion read from a picture is 0.9 at x = -20 um and 0.98 at x = +15 um, shifted by some 18 um per specimen;
+- the completion read from a picture is 0.9 at x = -20 um and 0.98 at x = +15 um, shifted by some 20 um for a whole
+  specimen, and by 70 um in bad light;
 - bone does not change its thickness much from one point to the next.
 
 Each cue may also be plainly wrong (glare, blood, thin bone over a bed of its colour, a pit whose flanks are cut), so
@@ -51,8 +52,8 @@ HOLE_AT_MM, HOLE_SIGMA_MM = 0.005, 0.025
 PICTURE_FLOOR = 0.03
 PICTURES = 5
 """The newest readings of a point, whose median counts."""
-SHIFTS_MM = tuple(0.01 * step for step in range(-4, 5))
-SHIFT_SIGMA_MM = 0.018
+SHIFTS_MM = tuple(0.02 * step for step in range(-4, 5))
+SHIFT_SIGMA_MM = 0.025
 """What all pictures of one specimen may be wrong by together."""
 
 CONTACT_SIGMA_MM = 0.012
