@@ -85,6 +85,8 @@ class Thickness:
         self._load = np.zeros((n_points, len(self._grid)))
         """Log-likelihood of all passes."""
         self._seen: list[deque[tuple[float, float]]] = [deque(maxlen=PICTURES) for _ in range(n_points)]
+        self._bone_seen: list[tuple[float, float] | None] = [None] * n_points
+        """The newest median reading that was not "through", and its depth."""
         self._bone: deque[float] = deque(maxlen=BONE_PASSES)
         self._below: Floats | None = None
         """(n, grid) probability that T is below; None where evidence came since."""
@@ -106,12 +108,16 @@ class Thickness:
     def pictured(self, index: int, depth_mm: float, completion: float) -> None:
         """A picture of the point, cut to ``depth_mm``, reads as ``completion``."""
         self._seen[index].append((completion, depth_mm))
+        median_seen = self._newest(index)
+        if median_seen[0] < COMPLETION[-1]:
+            self._bone_seen[index] = median_seen
         self._below = None
 
     def forget_pictures(self, index: int) -> None:
         """What was seen of the point tells nothing."""
         if self._seen[index]:
             self._seen[index].clear()
+            self._bone_seen[index] = None
             self._below = None
 
     def through(self, index: int, depth_mm: float) -> float:
@@ -134,8 +140,7 @@ class Thickness:
         shown = [index for index in range(self._n) if self._seen[index]]
         if not shown:
             return likelihood
-        newest = [sorted(self._seen[index])[len(self._seen[index]) // 2] for index in shown]
-        completion, depth_mm = np.array(newest).T[:, :, None]
+        completion, depth_mm = np.array([self._newest(index) for index in shown]).T[:, :, None]
         excess_mm = depth_mm - self._grid - np.asarray(SHIFTS_MM)[:, None, None]
         at_mm = np.interp(completion, COMPLETION, COMPLETION_AT_MM)
         sigmas = (excess_mm - at_mm) / np.interp(completion, COMPLETION, COMPLETION_SIGMA_MM)
@@ -144,9 +149,20 @@ class Thickness:
         bone, hole = completion[:, 0] < COMPLETION[0], completion[:, 0] >= COMPLETION[-1]
         said[:, bone] = ndtr(-sigmas[:, bone])
         said[:, hole] = ndtr((excess_mm[:, hole] - HOLE_AT_MM) / HOLE_SIGMA_MM)
+        # A hole may be any depth; what was seen before it says how deep at most.
+        for place, index in enumerate(shown):
+            before = self._bone_seen[index]
+            if hole[place] and before is not None:
+                at_before_mm = before[1] - self._grid - np.asarray(SHIFTS_MM)[:, None]
+                at_before_mm = at_before_mm - np.interp(before[0], COMPLETION, COMPLETION_AT_MM)
+                said[:, place] *= ndtr(-at_before_mm / float(np.interp(before[0], COMPLETION, COMPLETION_SIGMA_MM)))
         said /= np.maximum(said.max(axis=2, keepdims=True), 1e-12)
         likelihood[:, shown] = np.maximum(said, PICTURE_FLOOR)
         return likelihood
+
+    def _newest(self, index: int) -> tuple[float, float]:
+        """Median completion of the newest pictures, and its depth."""
+        return sorted(self._seen[index])[len(self._seen[index]) // 2]
 
     def _round_the_ring(self, likelihood: Floats) -> Floats:
         """(n, grid) what each point knows together with its neighbours: sum-product, twice round in both directions."""

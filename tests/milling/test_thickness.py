@@ -73,6 +73,18 @@ def test_one_bad_picture_changes_next_to_nothing() -> None:
     assert middle_mm(estimate, 0) == pytest.approx(middle_mm(alike, 0), abs=1e-6)
 
 
+def test_what_was_seen_before_a_hole_says_how_deep_it_is_at_most() -> None:
+    known, unknown = fresh(), fresh()
+    for depth_mm, completion in ((0.38, 0.93), (0.41, 1.0)):
+        for _ in range(5):
+            known.pictured(0, depth_mm, completion)
+    for _ in range(5):
+        unknown.pictured(0, 0.41, 1.0)
+    assert known.through(0, 0.34) < 0.25 * unknown.through(0, 0.34)
+    known.forget_pictures(0)
+    assert known.through(0, 0.34) == pytest.approx(fresh().through(0, 0.34))
+
+
 def test_a_point_learns_from_its_neighbours_and_less_from_afar() -> None:
     estimate = fresh()
     for index in (3, 5):
