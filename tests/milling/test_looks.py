@@ -158,6 +158,8 @@ def test_a_load_proved_at_other_points_may_overrule_the_picture_farther() -> Non
 def test_unweighed_under_a_picture_of_a_hole_a_look_gives_nothing_back_by_itself() -> None:
     ledger = touched()
     now_s = dig(ledger, 0, 0.3)
+    for frame in range(5):
+        ledger.seen(0, completion=0.97, upper=0.99, exposed_at_s=now_s - 1.0 + 0.1 * frame)
     for _ in range(10):
         visit(ledger, 0, now_s, completion=0.99, ratio=None)
         now_s += 3.0

@@ -15,7 +15,7 @@ from milling.loop import Progress, RunResult
 from milling.record import Run, read_run
 from vision.completion import CompletionReading
 
-JOB = Job(n_points=12, thickness_low_mm=0.08, thickness_high_mm=0.3)
+JOB = Job(n_points=24, thickness_low_mm=0.1, thickness_high_mm=0.3)
 
 
 @pytest.fixture
@@ -160,7 +160,7 @@ def test_a_lost_motion_wire_kills_and_loses_nothing_of_the_record(bench: Virtual
 
 def test_a_network_that_says_nan_ends_in_a_hold(bench: VirtualRig, tmp_path: Path) -> None:
     def nan() -> None:
-        bench.reader.fails = lambda reading: replace(reading, completion=np.full(12, np.nan))
+        bench.reader.fails = lambda reading: replace(reading, completion=np.full(JOB.n_points, np.nan))
 
     result = bench.run(tmp_path / "run", JOB, progress=AfterLaps(1, nan))
     assert result.outcome == "held"
@@ -185,7 +185,7 @@ def test_a_picture_that_never_says_done_is_stopped_by_the_load(bench: VirtualRig
     """The failure of the paper: completion stays low after penetration."""
 
     def low(reading: CompletionReading) -> CompletionReading:
-        return replace(reading, completion=np.full(12, 0.3), upper=np.full(12, 0.4))
+        return replace(reading, completion=np.full(JOB.n_points, 0.3), upper=np.full(JOB.n_points, 0.4))
 
     bench.reader.fails = low
     # A prior that leaves every point a few sound passes to learn its own load from, as the default one does.
