@@ -6,6 +6,7 @@ from math import isfinite, pi
 from typing import Any, Literal, Self, get_args
 
 from drivers.errors import ConfigError
+from milling.limits import Limits
 
 PolicyName = Literal["default", "paper", "previous"]
 
@@ -110,6 +111,18 @@ class Job:
             if key not in known:
                 raise ConfigError(f"[job] {key}: unknown key, allowed {', '.join(sorted(known))}")
         return cls(**table)
+
+    @property
+    def limits(self) -> Limits:
+        """What permission enforces for this job."""
+        return Limits(
+            bite_mm=self.bite_mm,
+            late_bite_mm=self.late_bite_mm,
+            late_margin_mm=self.late_margin_mm,
+            thickness_low_mm=self.thickness_low_mm,
+            thickness_high_mm=self.thickness_high_mm,
+            threshold=self.completion_threshold,
+        )
 
     @property
     def circumference_mm(self) -> float:

@@ -26,7 +26,6 @@ from milling.hands import RETRACT_MM, Hands, Interrupted
 from milling.job import Job
 from milling.laps import Laps, Permits
 from milling.latch import Latch, Reaction, reaction_to
-from milling.limits import Limits
 from milling.load import Idle, LoadMeter
 from milling.permission import Ledger
 from milling.planner import policy_for
@@ -201,7 +200,7 @@ class _Run:
     def _guarded(self, trajectory: Trajectory, reference: Image, idle: Idle, floor_mm: float) -> _Ring:
         """Contact under every point, and the ledger that counts from it."""
         job, tip = self.job, trajectory.tip_mm
-        ledger = Ledger(job.n_points, _limits(job), pitch_mm=trajectory.length_mm / job.n_points)
+        ledger = Ledger(job.n_points, job.limits, pitch_mm=trajectory.length_mm / job.n_points)
         predicted = [float(z) for z in trajectory.contact_z_mm]
 
         def told(index: int, height: float) -> None:
@@ -391,14 +390,3 @@ class _Run:
         x, y, z = (float(value) for value in ring.trajectory.ball_mm.mean(axis=0))
         radius_mm = float(np.linalg.norm(ring.trajectory.ball_mm[:, :2] - [x, y], axis=1).mean())
         return RunResult(outcome, reason, self.milling_time_s, ring.laps.laps, tuple(points), (x, y, z), radius_mm)
-
-
-def _limits(job: Job) -> Limits:
-    return Limits(
-        bite_mm=job.bite_mm,
-        late_bite_mm=job.late_bite_mm,
-        late_margin_mm=job.late_margin_mm,
-        thickness_low_mm=job.thickness_low_mm,
-        thickness_high_mm=job.thickness_high_mm,
-        threshold=job.completion_threshold,
-    )

@@ -9,13 +9,17 @@ from milling.limits import Limits
 from milling.point import PointState
 
 
+def bridges(bone: Bone) -> float:
+    """Share of the ring that holds the flap, by the published criterion."""
+    return float(np.mean(np.array(bone.excess_mm) < -0.03))
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_honest_cues_free_the_flap_and_stay_off_the_membrane(seed: int) -> None:
     bone = Bone(wavy(32, seed), seed=seed)
     bone.mill()
-    excess_mm = np.array(bone.excess_mm)
-    assert (excess_mm < -0.03).mean() <= 0.05
-    assert excess_mm.max() < 0.075
+    assert bridges(bone) <= 0.05
+    assert max(bone.excess_mm) < 0.075
     assert conclude(bone.ledger)[0] == "complete"
 
 
@@ -23,9 +27,8 @@ def test_honest_cues_free_the_flap_and_stay_off_the_membrane(seed: int) -> None:
 def test_pictures_that_are_all_wrong_alike_are_found_out(shift_mm: float) -> None:
     bone = Bone(wavy(32, 5), picture_shift_mm=shift_mm, seed=5)
     bone.mill()
-    excess_mm = np.array(bone.excess_mm)
-    assert (excess_mm < -0.03).mean() <= 0.05
-    assert excess_mm.max() < 0.075
+    assert bridges(bone) <= 0.05
+    assert max(bone.excess_mm) < 0.075
 
 
 def test_a_completion_that_is_stuck_low_leads_no_deeper() -> None:
@@ -40,8 +43,7 @@ def test_a_completion_that_is_stuck_high_is_held_and_never_called_complete() -> 
     bone = Bone(wavy(32, 7), seed=7)
     bone.completion = lambda _: 1.0  # type: ignore[method-assign]
     bone.mill()
-    if (np.array(bone.excess_mm) < -0.03).mean() > 0.05:
-        assert conclude(bone.ledger)[0] == "held"
+    assert bridges(bone) <= 0.05 or conclude(bone.ledger)[0] == "held"
     assert max(bone.excess_mm) < 0.075
 
 
