@@ -69,9 +69,8 @@ def _lines(console: Console) -> Told:
     def tell(now: RunProgress) -> None:
         line = f"{now.stage}: {now.detail}" if now.detail else now.stage
         if now.completion:
-            through = sum(state == "done" for state in now.state)
             share = f"{100 * mean(now.completion):.0f} % of the bone"
-            line = f"{now.stage}: {share}, {through} of {len(now.state)} points done"
+            line = f"{now.stage}: {share}, {_resting(now).count(True)} of {len(now.completion)} points at rest"
         if [line] != last:
             last[:] = [line]
             console.print(line, highlight=False, soft_wrap=True)
@@ -99,16 +98,21 @@ class _View:
         return Panel(Group(heading, Text(), _gauge(self.ring)), title="mill run")
 
 
+def _resting(now: RunProgress) -> list[bool]:
+    """Which points get no bite now; finished they are only at the look at the end."""
+    return [state != "open" for state in now.state] or [value >= 1.0 for value in now.completion]
+
+
 def _gauge(now: RunProgress) -> Text:
-    done = [state == "done" for state in now.state] or [value >= 1.0 for value in now.completion]
+    resting = _resting(now)
     lines = [
         f"{100 * mean(now.completion):3.0f} % of the bone",
-        f"{sum(done)} of {len(done)} points done",
+        f"{resting.count(True)} of {len(resting)} points at rest",
         f"{1000 * max(now.depth_mm):.0f} um deep",
         f"torque {100 * now.torque_fraction:.0f} %",
         time_left(now),
     ]
-    return ring_gauge(now.completion, done, lines)
+    return ring_gauge(now.completion, resting, lines)
 
 
 def time_left(now: RunProgress) -> str:
