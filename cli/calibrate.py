@@ -48,11 +48,12 @@ def calibrate(
     file that holds for this rig only. The spindle stays off.
     """
     from calib.calibration_file import Calibration
+    from studies.calibration_error import errors_in_box
     from vision.keypoints import TipFinder
 
     console = console_beside(json_file)
-    find_tip = TipFinder.load()
     with rig_for(chosen) as bench:
+        find_tip = TipFinder.load(bench.config.weights.tip)
         path = out or calibration_path(bench.config.name)
         if only_verify:
             Calibration.load(path, None)  # an unusable file is refused before anything moves
@@ -74,7 +75,9 @@ def calibrate(
                 return
             figures = _figures(calibration, path, duration_s)
             if chosen.emulate:
-                figures["truth"] = score(bench, motion, camera, find_tip, calibration, chosen.seed)
+                figures["truth"] = errors_in_box(
+                    motion, camera, bench.clock, find_tip.find, calibration, lambda: bench.truth() or {}, chosen.seed
+                )
             write_json(json_file, "calibrate", seed=chosen.drawn_from, **figures)
 
 
@@ -130,53 +133,6 @@ def provenance(find_tip: "TipFinder") -> "Provenance":
         software=f"micromill {version('micromill')}",
         weights={"tip": find_tip.sha256},
     )
-
-
-def score(
-    bench: Rig,
-    motion: "MotionController",
-    camera: "StereoCamera",
-    find_tip: "TipFinder",
-    calibration: "Calibration",
-    seed: int,
-) -> dict[str, float]:
-    """Errors at 20 random setpoints of the paper's validation box, on a virtual bench; the calibration is finished.
-
-    The 13 setpoints nearest to the middle of the box are its centre and the other 7 its periphery, as in the paper.
-    """
-    import numpy as np
-
-    low, high = np.array([0.0, -20.0, 0.0]), np.array([10.0, 0.0, 10.0])
-    setpoints = np.random.default_rng([seed, 20]).uniform(low, high, (20, 3))
-    errors_mm, errors_px, off_center_mm = [], [], []
-    for x, y, z in setpoints.tolist():
-        motion.start_move((x, y, z), feed_mm_per_s=10.0)
-        motion.wait_until_idle(timeout_s=30.0)
-        bench.clock.sleep_s(0.3)
-        pair = camera.capture()
-        left, right = find_tip.find(pair.left), find_tip.find(pair.right)
-        if not (left.visible and right.visible):
-            continue
-        truth = bench.truth() or {}
-        seen = np.array([[left.x_px, left.y_px], [right.x_px, right.y_px]])
-        errors_px += list(seen - np.array([truth["ball_px"]["left"], truth["ball_px"]["right"]]))
-        points_mm, _ = calibration.points_from_pixels(seen[:1], seen[1:])
-        errors_mm.append(points_mm[0] - calibration.rig.center_from_tip_mm - (x, y, z))
-        off_center_mm.append(np.hypot(x - 5.0, y + 10.0))
-    squared = (np.array(errors_mm) ** 2).sum(axis=1)
-    order = np.argsort(off_center_mm)
-
-    def rms(values: Any) -> float:
-        return float(np.sqrt(np.mean(values)))
-
-    central = max(1, round(13 / 20 * len(order)))
-    return {
-        "setpoints_seen": len(order),
-        "rmse_mm": rms(squared),
-        "rmse_center_mm": rms(squared[order[:central]]),
-        "rmse_periphery_mm": rms(squared[order[central:]]),
-        "tip_rmse_px": rms((np.array(errors_px) ** 2).sum(axis=1)),
-    }
 
 
 def _verify(

@@ -108,6 +108,14 @@ class BenchTable(Table):
     """Where the drill is out of both pictures."""
 
 
+class WeightsTable(Table):
+    """Networks in place of mill's own, as `mill train` writes them; paths count from the rig file."""
+
+    tip: Path | None = None
+    landmarks: Path | None = None
+    completion: Path | None = None
+
+
 class RigConfig(BaseModel):
     """A whole rig file."""
 
@@ -119,6 +127,7 @@ class RigConfig(BaseModel):
     camera: OpenCvCamera | OtherBackend
     tool: ToolTable = ToolTable()
     bench: BenchTable = BenchTable()
+    weights: WeightsTable = WeightsTable()
     job: dict[str, Any] = {}
     """Checked by milling.job, which knows the limits of a job."""
 
@@ -141,6 +150,11 @@ def load_rig(path: Path) -> RigConfig:
         table = data.get(kind)
         if isinstance(table, dict):
             data[kind] = _device_table(path, kind, table, models)
+    weights = data.get("weights")
+    if isinstance(weights, dict):
+        data["weights"] = {
+            task: str(path.parent / file) if isinstance(file, str) else file for task, file in weights.items()
+        }
     return _checked(RigConfig, data, path)
 
 

@@ -21,8 +21,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "stop": ("cli.stop", "Stop motion and spindle of a rig, whoever runs it."),
     "devices": ("cli.devices", "List what is plugged in."),
     "doctor": ("cli.doctor", "Open, identify, read back and measure each device of a rig."),
+    "dataset": ("cli.dataset", "Make data sets: rendered, from photographs, or from a rig."),
     "train": ("cli.train", "Train a network on rendered pictures."),
     "evaluate": ("cli.train", "Measure a network on specimens and rigs it never saw."),
+    "experiment": ("cli.experiment", "Repeat the paper's experiments on virtual rigs."),
     "runs": ("cli.runs", "List, show and report recorded runs."),
     "completion": ("cli.completion", "Print the shell's completion script."),
 }

@@ -56,12 +56,14 @@ def run(
     from vision.keypoints import LandmarkFinder, TipFinder
 
     console = console_beside(json_file)
-    tip, landmarks, completion = TipFinder.load(), LandmarkFinder.load(), CompletionReader.load()
-    weights = {"tip": tip.sha256, "landmarks": landmarks.sha256, "completion": completion.sha256}
     folder = record or Path("runs") / datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
     if (folder / "events.jsonl").exists():
         raise ConfigError(f"{folder}: holds a run already, which is kept; name another --record folder")
     with _stop_signals() as stop_requested, rig_for(chosen) as bench:
+        own = bench.config.weights
+        tip, landmarks = TipFinder.load(own.tip), LandmarkFinder.load(own.landmarks)
+        completion = CompletionReader.load(own.completion)
+        weights = {"tip": tip.sha256, "landmarks": landmarks.sha256, "completion": completion.sha256}
         job = Job.from_table(_job_table(bench, choices))
         path = calibration or calibration_path(bench.config.name)
         known = None if chosen.emulate and calibration is None else Calibration.load(path, None, for_milling=True)

@@ -2,20 +2,21 @@
 
 import math
 import time
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from cli.bars import counter, progress_bars
 from cli.options import json_option
 from cli.output import write_json
 
 LOG_STEPS = 250
 """Where nobody watches a bar, a line is printed this often."""
+WORST = 12
+"""Cases in the report."""
 TASKS = ("tip", "landmarks", "completion")
 
 task_argument = click.argument("task", metavar="TASK", type=click.Choice(TASKS))
@@ -31,7 +32,7 @@ seed_option = click.option("--seed", type=click.IntRange(0), default=0, show_def
     help="Folder of the pictures: train, validation and test in it. What is missing is rendered, and kept. "
     "[default: a folder beside --out]",
 )
-@click.option("--recipe", type=click.Choice(["default"]), default="default", show_default=True)
+@click.option("--recipe", type=click.Choice(["default", "paper"]), default="default", show_default=True)
 @seed_option
 @click.option(
     "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, metavar="FILE", help="ONNX file."
@@ -43,20 +44,28 @@ def train(task: str, data: Path | None, recipe: str, seed: int, out: Path) -> No
 
     Training resumes where it was killed: from FILE.checkpoint, which is removed at the end.
     """
+    from cli.reports.train_report import write_train_report
     from studies.datasets import SPLITS, ensure
+    from studies.photographs import ensure_in, holds_photographs
+    from vision.runtime import Network
+    from vision.samples import load_data
     from vision.tasks import task_named
-    from vision.training import finish, load_data
+    from vision.training import finish
     from vision.training import train as fit
 
-    out.parent.mkdir(parents=True, exist_ok=True)
-    folder = data or out.with_suffix(".data")
-    learned = task_named(task)
+    learned = task_named(task, recipe)
     settings = learned.recipes[recipe]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    folder = data if data and not holds_photographs(data) else out.with_suffix(".data")
     console = Console(stderr=True)
-    with _progress(console) as progress:
+    with progress_bars(console) as progress:
+        if data and folder != data:
+            ensure_in(data, folder, task, progress=counter(progress, "photographs"))
         for split in SPLITS:
-            ensure(task, split, folder, seed=seed, progress=_counter(progress, f"{split} pictures"))
-        bar = progress.add_task("training", total=settings.steps)
+            ensure(task, split, folder, seed=seed, progress=counter(progress, f"{split} pictures"))
+        parts = {split: load_data(folder, split, task, learned.arrays) for split in SPLITS}
+        steps = settings.steps_for(len(next(iter(parts["train"].values()))))
+        bar = progress.add_task("training", total=steps)
         checkpoint = out.with_name(out.name + ".checkpoint")
 
         def step(done: int, steps: int, loss: float) -> None:
@@ -64,11 +73,23 @@ def train(task: str, data: Path | None, recipe: str, seed: int, out: Path) -> No
             if not console.is_terminal and done % LOG_STEPS == 0:
                 console.print(f"step {done} of {steps}, loss {loss:.3f}")
 
-        network = fit(learned, load_data(folder, "train"), settings, seed=seed, checkpoint=checkpoint, progress=step)
-    about = {"task": task, "recipe": recipe, "seed": seed, "steps": settings.steps, "version": version("micromill")}
-    figures = finish(learned, network, out, load_data(folder, "validation"), load_data(folder, "test"), about)
+        network, history = fit(
+            learned,
+            parts["train"],
+            parts["validation"],
+            settings,
+            seed=seed,
+            checkpoint=checkpoint,
+            progress=step,
+        )
+    trained = {"task": task, "recipe": recipe, "seed": seed, "steps": len(history.losses)}
+    about = {**trained, "version": version("micromill")}
+    figures = finish(learned, network, out, parts["validation"], parts["test"], about)
     checkpoint.unlink(missing_ok=True)
     console.print(_table(f"{out}, on held-out specimens and rigs", figures))
+    worst = learned.worst(Network(out), parts["test"], WORST)
+    write_train_report(out.with_suffix(".html"), f"{task} network", about, figures, history, worst)
+    console.print(f"report: {out.with_suffix('.html')}")
 
 
 @click.command()
@@ -103,23 +124,25 @@ def evaluate(
     import tempfile
 
     from studies.datasets import ensure
+    from studies.photographs import bring_in, holds_photographs
     from vision.runtime import WEIGHTS, Network
+    from vision.samples import load_data
     from vision.tasks import task_named
-    from vision.training import load_data
 
     if data and specimens:
         raise click.UsageError("--data and --specimens exclude each other; give one")
-    network = Network(weights or WEIGHTS / f"{task}.onnx")
+    network = Network(weights or WEIGHTS / f"{task}.onnx", task)
     learned = task_named(task)
     console = Console(stderr=True)
     started_s = time.monotonic()
     with tempfile.TemporaryDirectory() as scratch:
-        folder = data or Path(scratch)
-        if data is None:
-            with _progress(console) as progress:
-                counter = _counter(progress, "pictures")
-                ensure(task, "test", folder, seed=seed, specimens=specimens, progress=counter)
-        figures = learned.judge(network, load_data(folder, "test"))
+        folder = Path(scratch) if data is None or holds_photographs(data) else data
+        with progress_bars(console) as progress:
+            if data and folder != data:
+                bring_in(data, folder, task, only="test", progress=counter(progress, "photographs"))
+            if data is None:
+                ensure(task, "test", folder, seed=seed, specimens=specimens, progress=counter(progress, "specimens"))
+        figures = learned.judge(network, load_data(folder, "test", task, learned.arrays))
     console.print(_table(f"{network.path.name}, on held-out specimens and rigs", figures))
     if json_file:
         write_json(
@@ -130,29 +153,6 @@ def evaluate(
             duration_s=time.monotonic() - started_s,
             **{name: value if math.isfinite(value) else None for name, value in figures.items()},
         )
-
-
-def _progress(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=console,
-    )
-
-
-def _counter(progress: Progress, what: str) -> Callable[[int, int], None]:
-    """A bar from the first step on, as a function of how much is done and of how much."""
-    bars: list[TaskID] = []
-
-    def count(done: int, total: int) -> None:
-        if not bars:
-            bars.append(progress.add_task(what, total=total))
-        progress.update(bars[0], completed=done)
-
-    return count
 
 
 def _table(title: str, figures: dict[str, float]) -> Table:

@@ -16,7 +16,7 @@ from drivers.errors import DetectionError, PlanError
 Floats = npt.NDArray[np.float64]
 
 GRID_MM = 0.1
-SMOOTH_MM = 0.2
+SMOOTH_MM = 0.3
 """One sigma of the local average: less than the ball's footprint."""
 OUTLIER_SIGMAS = 4.0
 LEAST_POINTS = 300

@@ -19,8 +19,12 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
+FRAMES = 4
+"""Pairs of pictures that the surface is read from."""
 LOOK_HALF_PX = 160.0
 """Half the side of the square round the ring's centre that is matched."""
+LANDMARKS_MM = (3.0, 5.5)
+"""From bregma to lambda in a mouse, with room to spare: 3.9 to 4.2 mm are published."""
 BEYOND_MM = 1.5
 """How far the surface is known beyond the ring: the ball, and the offset along the normal."""
 
@@ -55,18 +59,26 @@ def survey(
         DetectionError: a landmark or the surface is not seen.
         PlanError: a ring that must not be milled.
     """
-    from vision.disparity import match
+    from vision.disparity import averaged, match
 
-    frame = rig.camera.capture()
+    frames = [rig.camera.capture() for _ in range(FRAMES)]
+    frame = frames[0]
     recorder.frame("reference_left", frame.left)
     recorder.frame("reference_right", frame.right)
     tell("landmarks", "")
-    landmarks_px, center_px, right_px = _landmarks(frame, finders, job)
+    landmarks_px, landmarks_right_px, center_px, right_px = _landmarks(frame, finders, job)
+    ends, _ = calibration.points_from_pixels(landmarks_px, landmarks_right_px)
+    apart_mm = float(np.linalg.norm(ends[1] - ends[0]))
+    if not LANDMARKS_MM[0] <= apart_mm <= LANDMARKS_MM[1]:
+        raise DetectionError(
+            f"bregma and lambda are {apart_mm:.2f} mm apart, allowed {LANDMARKS_MM[0]:g} to {LANDMARKS_MM[1]:g} mm: "
+            "one of them is something else; clear the skull, check light and focus"
+        )
     rough, _ = calibration.points_from_pixels(center_px[None], right_px[None])
     x, y = center_px
     matches = match(
-        frame.left,
-        frame.right,
+        averaged([each.left for each in frames]),
+        averaged([each.right for each in frames]),
         right_from_left=calibration.right_from_left(float(rough[0, 2])),
         region=(x - LOOK_HALF_PX, y - LOOK_HALF_PX, x + LOOK_HALF_PX, y + LOOK_HALF_PX),
     )
@@ -100,8 +112,8 @@ def survey(
     return frame.left, trajectory
 
 
-def _landmarks(frame: StereoFrame, finders: Finders, job: Job) -> tuple[Floats, Floats, Floats]:
-    """Bregma and lambda (2, 2) in the left picture, and the ring's centre in the left and in the right one."""
+def _landmarks(frame: StereoFrame, finders: Finders, job: Job) -> tuple[Floats, Floats, Floats, Floats]:
+    """Bregma and lambda (2, 2) in the left and in the right picture, and the ring's centre in each."""
     places: list[Floats] = []
     for side, image in (("left", frame.left), ("right", frame.right)):
         points = []
@@ -115,7 +127,7 @@ def _landmarks(frame: StereoFrame, finders: Finders, job: Job) -> tuple[Floats, 
         places.append(np.array(points))
     left, right = places
     share = np.array([1 - job.landmark_ratio, job.landmark_ratio])
-    return left, share @ left, share @ right
+    return left, right, share @ left, share @ right
 
 
 def _gate(what: str, found: float, allowed: float, unit: str, error: type[MillError]) -> None:

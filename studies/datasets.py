@@ -4,10 +4,12 @@ Training, validation and test never share a specimen or a rig: each split draws 
 stated here and nowhere else.
 """
 
+import json
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +38,7 @@ SPLITS = {
     "validation": Split(20_000_000, {"tip": 12, "landmarks": 20, "completion": 24}),
     "test": Split(30_000_000, {"tip": 12, "landmarks": 20, "completion": 24}),
 }
+CARD = "card.json"
 EGGSHELL_EVERY = 8
 """Every eighth specimen is an eggshell: another bone, and one without landmarks."""
 _SAMPLES: dict[str, Callable[[Specimen, np.random.Generator], Iterator[Sample]]] = {
@@ -76,6 +79,36 @@ def ensure(
         progress(index + 1, len(worlds))
     marker.unlink(missing_ok=True)
     shutil.move(draft, final)
+    origin = (
+        {"source": "renderings", "seed": seed, "first_specimen_seed": SPLITS[split].seed_of(0, seed)}
+        if specimens is None
+        else {"source": "renderings of specimen files", "seed": seed}
+    )
+    write_card(folder, task, split, specimens=len(worlds), samples=_count(final), **origin)
+
+
+def write_card(folder: Path, task: str, split: str, **about: object) -> None:
+    """Enter a split into the data set's card: what it is, how many, and where it comes from."""
+    card = read_card(folder) or {"task": task, "splits": {}}
+    card["splits"][split] = about
+    (folder / CARD).write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
+
+
+def read_card(folder: Path) -> dict[str, Any]:
+    """The data set's card; empty where there is none."""
+    file = folder / CARD
+    if not file.is_file():
+        return {}
+    try:
+        card: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        card["task"], card["splits"].items()
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ConfigError(f"{file}: is no card of a data set: {error!r}; make the data set anew") from None
+    return card
+
+
+def _count(folder: Path) -> int:
+    return len(np.load(next(folder.glob("*.npy")), mmap_mode="r"))
 
 
 def _drawn(task: str, split: str, seed: int) -> list[Callable[[], Specimen]]:

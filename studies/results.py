@@ -2,7 +2,8 @@
 
     python -m studies.results --out docs/results.md run-0.json run-1.json ...
 
-where each JSON comes from ``mill run --emulate --seed N --json run-N.json`` or from ``python -m studies.virtual_runs``.
+where each JSON comes from ``mill run --emulate --seed N --json run-N.json``, from ``python -m studies.virtual_runs``
+or from ``mill experiment``.
 """
 
 import argparse
@@ -29,8 +30,10 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     return max(0.0, (center - half) / scale), min(1.0, (center + half) / scale)
 
 
-def page(manifest: dict[str, dict[str, Any]], runs: Sequence[dict[str, Any]]) -> str:
+def page(manifest: dict[str, dict[str, Any]], results: Sequence[dict[str, Any]]) -> str:
     """The page, as Markdown."""
+    experiments = [result for result in results if result["command"].startswith("experiment")]
+    runs = [result for result in results if result not in experiments]
     lines = [
         "# Results",
         "",
@@ -46,6 +49,8 @@ def page(manifest: dict[str, dict[str, Any]], runs: Sequence[dict[str, Any]]) ->
         lines += [f"### {name}", "", "| figure | value |", "|---|---|"]
         lines += [f"| {figure} | {value:.4g} |" for figure, value in entry["held_out"].items()]
         lines.append("")
+    for experiment in experiments:
+        lines += _experiment(experiment)
     lines += [
         f"The figures of `milling/limits.py` and `milling/thickness.py` were chosen on seeds {CHOSEN_ON}:",
         "only others are a fair test.",
@@ -60,6 +65,37 @@ def page(manifest: dict[str, dict[str, Any]], runs: Sequence[dict[str, Any]]) ->
     lines += [f"`python -m studies.virtual_runs --seeds 0-9 --out DIR`, default job: {how}.", ""]
     lines += _table(virtual)
     return "\n".join(lines) + "\n"
+
+
+def _experiment(result: dict[str, Any]) -> list[str]:
+    """Recipes side by side; RMSE with their 95 % bootstrap interval over trials."""
+    recipes: dict[str, dict[str, Any]] = result["recipes"]
+    count = next(iter(recipes.values()))["trials"]
+    what = result["command"].removeprefix("experiment ")
+    option = {"calibration": "rigs", "surface": "specimens"}[what]
+    lines = [
+        f"## Experiment: {what}",
+        "",
+        f"`mill {result['command']} --{option} {count} --seed {result['seed']} --out DIR --json FILE`;",
+        "every recipe on the same virtual rigs, which no network has seen; RMSE with its 95 % interval (bootstrap).",
+        "",
+        f"| figure | {' | '.join(recipes)} |",
+        "|---" * (len(recipes) + 1) + "|",
+    ]
+    names = dict.fromkeys(name for figures in recipes.values() for name in figures)
+    for name in names:
+        if not name.endswith(("_low", "_high")):
+            lines.append(f"| {name} | {' | '.join(_cell(figures, name) for figures in recipes.values())} |")
+    return [*lines, ""]
+
+
+def _cell(figures: dict[str, Any], name: str) -> str:
+    if name not in figures:
+        return ""
+    value = f"{figures[name]:.4g}"
+    return (
+        f"{value} ({figures[name + '_low']:.3g}-{figures[name + '_high']:.3g})" if name + "_low" in figures else value
+    )
 
 
 def _table(runs: Sequence[dict[str, Any]]) -> list[str]:
@@ -89,10 +125,10 @@ def main() -> None:
     """Read the files named on the command line and write the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("runs", type=Path, nargs="*")
+    parser.add_argument("results", type=Path, nargs="*")
     given = parser.parse_args()
-    runs = [json.loads(path.read_text(encoding="utf-8")) for path in given.runs]
-    given.out.write_text(page(read_manifest(WEIGHTS), runs), encoding="utf-8")
+    results = [json.loads(path.read_text(encoding="utf-8")) for path in given.results]
+    given.out.write_text(page(read_manifest(WEIGHTS), results), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ INSIDE_PX = 4.0
 """A point nearer to the edge of the picture than this is not asked for."""
 
 
-class _Bench:
+class Scene:
     """A world whose drill and bone are put where they are wanted."""
 
     def __init__(self, specimen: Specimen, rng: np.random.Generator) -> None:
@@ -99,7 +99,7 @@ def _bridges(angles: Array, rng: np.random.Generator) -> Array:
 
 def tip_samples(specimen: Specimen, rng: np.random.Generator) -> Iterator[Sample]:
     """The drill in the box, near the skull, in a kerf, and out of the picture."""
-    bench = _Bench(specimen, rng)
+    bench = Scene(specimen, rng)
     ring_mm, _ = bench.ring()
     for pose in range(POSES):
         if pose == 2:
@@ -121,7 +121,7 @@ def tip_samples(specimen: Specimen, rng: np.random.Generator) -> Iterator[Sample
 
 def landmark_samples(specimen: Specimen, rng: np.random.Generator) -> Iterator[Sample]:
     """Bregma and lambda, mostly with the drill away; sometimes with a kerf round them."""
-    bench = _Bench(specimen, rng)
+    bench = Scene(specimen, rng)
     skull = bench.machine.skull
     places = bench.microscope.project(np.stack([skull.bregma_mm, skull.lambda_mm]))
     there = specimen.kind == "mouse"
@@ -135,12 +135,12 @@ def landmark_samples(specimen: Specimen, rng: np.random.Generator) -> Iterator[S
         pictures = bench.pictures()
         for side, picture, points in zip(SIDES, pictures, places, strict=True):
             free = ~_at(bench.microscope.drill_mask(side), points)
-            yield _keypoints(picture, points, free & there)
+            yield _keypoints(picture, points if there else np.full_like(points, np.nan), free & there)
 
 
 def completion_samples(specimen: Specimen, rng: np.random.Generator) -> Iterator[Sample]:
     """A ring at several depths, with the drill in it, above it and away."""
-    bench = _Bench(specimen, rng)
+    bench = Scene(specimen, rng)
     for _ in range(RINGS):
         bench.machine.restore_bone()
         bench.park()
@@ -158,7 +158,7 @@ def completion_samples(specimen: Specimen, rng: np.random.Generator) -> Iterator
                 yield _ring_sample(now[eye], before[eye], rings_px[eye], completion, completion_map, drill, rng)
 
 
-def _drill_somewhere(bench: _Bench, points_mm: Array, rng: np.random.Generator) -> None:
+def _drill_somewhere(bench: Scene, points_mm: Array, rng: np.random.Generator) -> None:
     draw = rng.random()
     bench.machine.set_spindle(45_000.0)
     if draw < 0.35:
@@ -198,7 +198,8 @@ def _ring_sample(
 
 def _keypoints(picture: Image, points: Array, visible: npt.NDArray[np.bool_]) -> Sample:
     limit = np.array([picture.shape[1], picture.shape[0]]) - 1 - INSIDE_PX
-    inside = np.all((points >= INSIDE_PX) & (points <= limit), axis=1)
+    with np.errstate(invalid="ignore"):
+        inside = np.all((points >= INSIDE_PX) & (points <= limit), axis=1)
     return {
         "pictures": picture,
         "points": np.where(inside[:, None], points, np.nan),

@@ -66,7 +66,7 @@ class CompletionReader:
         Raises:
             ConfigError: they are missing, or not what their manifest says.
         """
-        return cls(Network(weights or cls.weights))
+        return cls(Network(weights or cls.weights, "completion"))
 
     def read(
         self, image: Image, ring_px: npt.NDArray[np.float64], radius_px: float, *, reference: Image | None
@@ -165,12 +165,20 @@ def _image_from_heat(crop_from_image: npt.NDArray[np.float64]) -> npt.NDArray[np
     return np.asarray(image_from_crop @ crop_from_cell, dtype=np.float64)
 
 
-def _box(
-    kerf: npt.NDArray[np.bool_], image_from_heat: npt.NDArray[np.float64]
-) -> tuple[float, float, float, float] | None:
+def box_of(kerf: npt.NDArray[np.bool_]) -> tuple[float, float, float, float] | None:
+    """x0, y0, x1, y1 round the cells that are True, in cells; None where none is."""
     rows, columns = np.nonzero(kerf)
     if len(rows) == 0:
         return None
-    corners = np.array([[columns.min() - 0.5, rows.min() - 0.5], [columns.max() + 0.5, rows.max() + 0.5]])
-    (x0, y0), (x1, y1) = corners @ image_from_heat[:, :2].T + image_from_heat[:, 2]
+    x0, y0, x1, y1 = columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5
+    return float(x0), float(y0), float(x1), float(y1)
+
+
+def _box(
+    kerf: npt.NDArray[np.bool_], image_from_heat: npt.NDArray[np.float64]
+) -> tuple[float, float, float, float] | None:
+    box = box_of(kerf)
+    if box is None:
+        return None
+    (x0, y0), (x1, y1) = np.array(box).reshape(2, 2) @ image_from_heat[:, :2].T + image_from_heat[:, 2]
     return (float(x0), float(y0), float(x1), float(y1))

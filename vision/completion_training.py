@@ -21,13 +21,16 @@ from vision.completion import (
     MISSING,
     THROUGH,
     bounded,
+    box_of,
     cell_from_crop,
     probability,
     sample,
 )
 from vision.networks import CELL_PX, CompletionNet
 from vision.runtime import Floats, Network
-from vision.training import Batch, Data, Recipe, relit
+from vision.samples import Arrays, Data, relit
+from vision.scores import IOU_STEPS, average_precision, by_tenths, iou
+from vision.training import Batch, Recipe, Worst
 
 STORED_PX = 192
 """Side of the stored crops: wider than the network's, for jitter."""
@@ -42,6 +45,15 @@ COMPLETION, RING, DRILL, KERF, HOLE = range(5)
 """Planes of ``labels``."""
 
 
+_ARRAYS: Arrays = {
+    "crops": ((STORED_PX, STORED_PX, 6), "u"),
+    "labels": ((STORED_PX // 2, STORED_PX // 2, 5), "u"),
+    "rings_px": ((None, 2), "f"),
+    "completions": ((None,), "f"),
+    "hidden": ((None,), "b"),
+}
+
+
 class CompletionTask:
     """Read the ring.
 
@@ -51,6 +63,8 @@ class CompletionTask:
 
     name = "completion"
     recipes: Mapping[str, Recipe] = {"default": Recipe(steps=2500, batch=16, learning_rate=2e-3)}
+
+    arrays = _ARRAYS
 
     def network(self) -> nn.Module:
         """A fresh network."""
@@ -102,10 +116,10 @@ class CompletionTask:
         through = functional.binary_cross_entropy_with_logits(maps[:, 4], labels[:, HOLE], reduction="none")
         return 4.0 * estimate + 4.0 * pinball + 0.3 * kerf + 0.5 * drill + (through * weight).sum()
 
-    def example(self) -> dict[str, Tensor]:
+    def example(self, data: Data) -> dict[str, Tensor]:
         """A crop."""
-        noise = torch.randint(0, 256, (1, CROP_PX, CROP_PX, 6), generator=torch.Generator().manual_seed(0))
-        return {"crops": noise.to(torch.uint8)}
+        first = (STORED_PX - CROP_PX) // 2
+        return {"crops": torch.from_numpy(data["crops"][:1, first : first + CROP_PX, first : first + CROP_PX].copy())}
 
     def calibrate(self, network: Network, data: Data) -> dict[str, float]:
         """``upper_margin``: what must be added to the quantile head so that held-out truth stays below (conformal)."""
@@ -126,6 +140,7 @@ class CompletionTask:
         covered = probability(read["drill"]) >= DRILL_NOT_EXCLUDED
         truth, estimate = read["truth"][seen], read["completion"][seen]
         estimate, upper = bounded(estimate, read["upper"][seen] + margin, read["through"][seen])
+        boxes = read["box_iou"], read["box_score"], int(read["has_box"].sum())
         hole, bone, begun = truth >= 0.999, truth <= 0.85, truth >= 0.05
         return {
             "rmse": float(np.sqrt(np.mean((estimate - truth) ** 2))),
@@ -137,14 +152,35 @@ class CompletionTask:
             "hidden_recall": _mean(covered[~seen]),
             "hidden_false_alarm": _mean(covered[seen]),
             "kerf_iou": _mean(read["iou"]),
+            "box_ap50": average_precision(*boxes, 0.5),
+            "box_ap50_95": float(np.mean([average_precision(*boxes, step) for step in IOU_STEPS])),
+            **by_tenths(estimate - truth, truth),
             "rings": float(len(data["crops"])),
         }
+
+    def worst(self, network: Network, data: Data, count: int) -> list[Worst]:
+        """The ring's crop: each point's colour is its error, from green (none) to red (0.3 and more)."""
+        read = self._read(network, data)
+        seen = ~read["hidden"].astype(bool)
+        estimate, _ = bounded(read["completion"], read["upper"], read["through"])
+        errors = np.where(seen, estimate - read["truth"], 0.0)
+        squares = (errors**2).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+        cases = []
+        for index in np.argsort(squares)[::-1][:count]:
+            crop = np.asarray(data["crops"][index, ..., :3])
+            large = cv2.resize(crop, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC).astype(np.uint8)
+            for place, error, shown in zip(data["rings_px"][index], errors[index], seen[index], strict=True):
+                share = min(abs(float(error)) / 0.3, 1.0)
+                color = (round(255 * share), round(255 * (1 - share)), 60) if shown else (128, 128, 128)
+                cv2.circle(large, (round(2 * float(place[0])), round(2 * float(place[1]))), 3, color, -1, cv2.LINE_AA)
+            cases.append(Worst(large, f"ring {index}: RMSE {np.sqrt(squares[index]):.3f} (grey: hidden)"))
+        return cases
 
     def _read(self, network: Network, data: Data) -> dict[str, npt.NDArray[Any]]:
         first = (STORED_PX - CROP_PX) // 2
         cell = first // CELL_PX
         names = ("completion", "upper", "kerf", "drill", "through")
-        read: dict[str, list[Any]] = {name: [] for name in (*names, "iou")}
+        read: dict[str, list[Any]] = {name: [] for name in (*names, "iou", "box_iou", "box_score", "has_box")}
         for index in range(len(data["crops"])):
             crop = np.asarray(data["crops"][index, first : first + CROP_PX, first : first + CROP_PX])
             maps = network.run(crops=crop[None])[0][0]
@@ -152,6 +188,11 @@ class CompletionTask:
             for name, plane in zip(names, maps, strict=True):
                 read[name].append(sample(plane, cells))
             kerf = np.asarray(data["labels"][index, cell:-cell, cell:-cell, KERF]) > 0
+            found, true = box_of(maps[2] > 0), box_of(kerf)
+            read["has_box"].append(true is not None)
+            if found is not None:
+                read["box_iou"].append(iou(found, true) if true is not None else 0.0)
+                read["box_score"].append(float(probability(maps[2][maps[2] > 0]).mean()))
             if kerf.any():
                 read["iou"].append((kerf & (maps[2] > 0)).sum() / (kerf | (maps[2] > 0)).sum())
         result = {name: np.array(values) for name, values in read.items()}

@@ -5,6 +5,7 @@ millimetre. The right picture is first warped to the left one's rows by an affin
 small: the relief of the bone.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -27,6 +28,8 @@ GLARE = 250
 """A pixel whose darkest channel reaches this carries no texture."""
 SIGMA_SCALE = 1.5
 """Measured on rendered skulls: what differs within a patch is not independent from pixel to pixel."""
+SLOW_PX = 4.0
+"""Wider structures are taken out: light, and what shines through from under the bone and so lies too deep."""
 PATCH_PX = 9
 MARGIN_PX = 48
 _SPREAD = 48.0
@@ -39,6 +42,11 @@ class Matches:
     left_px: npt.NDArray[np.float64]
     right_px: npt.NDArray[np.float64]
     sigma_px: npt.NDArray[np.float64]
+
+
+def averaged(pictures: Sequence[Image]) -> Image:
+    """The mean of several pictures of one scene: less noise."""
+    return np.round(np.mean(pictures, axis=0, dtype=np.float32)).astype(np.uint8)
 
 
 def match(
@@ -122,8 +130,8 @@ def _nothing() -> Matches:
 def _even(picture: Image) -> npt.NDArray[np.uint8]:
     """Grey, with the slow change of light taken out: the two eyes see it differently."""
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    slow = cv2.GaussianBlur(grey, (0, 0), 12.0)
-    spread = np.sqrt(cv2.GaussianBlur((grey - slow) ** 2, (0, 0), 12.0)) + 3.0
+    slow = cv2.GaussianBlur(grey, (0, 0), SLOW_PX)
+    spread = np.sqrt(cv2.GaussianBlur((grey - slow) ** 2, (0, 0), 12.0)) + 1.0
     return np.clip(128.0 + _SPREAD * (grey - slow) / spread, 0, 255).astype(np.uint8)
 
 

@@ -1,4 +1,4 @@
-"""What the keypoint networks learn from, and how they are judged."""
+"""What the tip network learns from, and how every keypoint network is judged."""
 
 from collections.abc import Mapping
 from typing import Any, cast
@@ -11,14 +11,17 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from drivers.errors import ConfigError
-from vision.keypoints import WINDOW_CELLS, Keypoint, _Finder
-from vision.networks import CELL_PX, COARSE, CROP_PX, PICTURE_PX, KeypointNet, normalized
+from vision.keypoints import Finder, Keypoint, TipFinder
+from vision.networks import CELL_PX, COARSE, CROP_PX, PICTURE_PX, WINDOW_CELLS, KeypointNet, normalized, read_peak
 from vision.runtime import Image, Network
-from vision.training import Batch, Data, Recipe, relit
+from vision.samples import Arrays, Data, relit
+from vision.training import Batch, Recipe, Worst
 
 CROPS_PER_PICTURE = 3
 COARSE_SIGMA_CELLS = 0.7
 FINE_SIGMA_CELLS = 1.2
+LEAST_ERROR_PX = 0.1
+"""Smaller errors are as good."""
 TURNED = 0.4
 """Share of the crops that are turned by up to ``TURN_DEG`` and scaled: rigs and heads are not all as drawn."""
 TURN_DEG = 12.0
@@ -35,12 +38,21 @@ class KeypointTask:
 
     def __init__(self, name: str, names: tuple[str, ...], *, steps: int) -> None:
         self.recipes: Mapping[str, Recipe] = {"default": Recipe(steps=steps, batch=8, learning_rate=2e-3)}
+        self.arrays: Arrays = {
+            "pictures": ((PICTURE_PX[1], PICTURE_PX[0], 3), "u"),
+            "points": ((len(names), 2), "f"),
+            "visible": ((len(names),), "b"),
+        }
         self.name = name
         self.names = names
 
     def network(self) -> nn.Module:
         """A fresh network."""
         return KeypointNet(len(self.names))
+
+    def finder(self, network: Network) -> Finder:
+        """What runs the exported network."""
+        return TipFinder(network)
 
     def batch(self, data: Data, size: int, rng: np.random.Generator) -> Batch:
         """``size`` whole pictures, reduced, and some crops of each."""
@@ -67,10 +79,10 @@ class KeypointTask:
                 present.append(inside)
                 wanted.append(k)
         return {
-            "reduced": _as_input(reduced),
+            "reduced": as_input(reduced),
             "coarse_targets": torch.tensor(np.array(coarse_targets), dtype=torch.float32),
             "coarse_present": torch.tensor(np.array(coarse_present)),
-            "crops": _as_input(crops),
+            "crops": as_input(crops),
             "targets": torch.tensor(np.array(targets), dtype=torch.float32),
             "present": torch.tensor(present),
             "point": torch.tensor(wanted),
@@ -87,27 +99,13 @@ class KeypointTask:
     def loss(self, network: nn.Module, batch: Batch) -> Tensor:
         """Where it is (both looks), how exactly, how sure, and whether at all."""
         net = cast(KeypointNet, network)
-        heat = net.look(batch["reduced"]).float()
-        step = COARSE * CELL_PX
-        coarse = _cross_entropy(heat, (batch["coarse_targets"] - (step - 1) / 2) / step, COARSE_SIGMA_CELLS)
-        coarse = _mean_where(coarse, batch["coarse_present"])
-
+        rough = rough_loss(net.look(batch["reduced"]).float(), batch["coarse_targets"], batch["coarse_present"])
         maps = net.look_closely(batch["crops"], batch["point"]).float()
-        present = batch["present"]
-        cells = (batch["targets"] - 0.5) / CELL_PX
-        fine = _mean_where(_cross_entropy(maps[:, :1], cells[:, None], FINE_SIGMA_CELLS)[:, 0], present)
-        place, log_sigma, visible = _read(maps)
-        seen = functional.binary_cross_entropy_with_logits(visible, present.float())
-        error = (_near(maps[:, 0], cells) - cells) * CELL_PX
-        exact = _mean_where(functional.smooth_l1_loss(error, torch.zeros_like(error), reduction="none").sum(1), present)
-        missed = ((place - cells).detach() * CELL_PX).square().sum(1).clamp(max=400.0)
-        sure = _mean_where(missed / (2 * torch.exp(2 * log_sigma)) + 2 * log_sigma, present)
-        return coarse + fine + exact + 0.2 * sure + seen
+        return rough + close_loss(maps, (batch["targets"] - 0.5) / CELL_PX, batch["present"])
 
-    def example(self) -> dict[str, Tensor]:
+    def example(self, data: Data) -> dict[str, Tensor]:
         """A picture."""
-        noise = torch.randint(0, 256, (PICTURE_PX[1], PICTURE_PX[0], 3), generator=torch.Generator().manual_seed(0))
-        return {"picture": noise.to(torch.uint8)}
+        return {"picture": torch.from_numpy(data["pictures"][0].copy())}
 
     def calibrate(self, network: Network, data: Data) -> dict[str, float]:
         """``sigma_scale`` makes the normalised error's 68 % quantile what a 2-D Gaussian has."""
@@ -140,13 +138,46 @@ class KeypointTask:
         figures["pictures"] = float(len(data["pictures"]))
         return figures
 
+    def worst(self, network: Network, data: Data, count: int) -> list[Worst]:
+        """Round the true place: a cross where the point is, a circle where it was found."""
+        found = self._found(network, data)
+        off = [np.hypot(f.x_px - t[0], f.y_px - t[1]) if seen and f.visible else -1.0 for f, t, seen in found]
+        cases = []
+        for index in np.argsort(off)[::-1][:count]:
+            if off[index] < 0:
+                break
+            keypoint, place, _ = found[index]
+            picture = np.asarray(data["pictures"][index // len(self.names)])
+            what = f"{self.names[index % len(self.names)]} in picture {index // len(self.names)}"
+            cases.append(
+                Worst(
+                    _marked(picture, place, (keypoint.x_px, keypoint.y_px)),
+                    f"{what}: off by {off[index]:.2f} px, sigma {keypoint.sigma_px:.2f} px",
+                )
+            )
+        return cases
+
     def _found(self, network: Network, data: Data) -> list[tuple[Keypoint, npt.NDArray[Any], bool]]:
-        finder = _Finder(network)
+        finder = self.finder(network)
         return [
             (found, data["points"][index][k], bool(data["visible"][index][k]))
             for index in range(len(data["pictures"]))
             for k, found in enumerate(finder.find_all(np.asarray(data["pictures"][index])))
         ]
+
+
+def _marked(picture: Image, truth: npt.NDArray[Any], found: tuple[float, float]) -> Image:
+    """A square round the truth, enlarged, with both places drawn in."""
+    scale, half = 3.0, 60.0
+    side = round(2 * half * scale)
+    affine = np.array([[scale, 0.0, scale * (half - truth[0])], [0.0, scale, scale * (half - truth[1])]])
+    crop = cv2.warpAffine(picture, affine, (side, side), flags=cv2.INTER_CUBIC).astype(np.uint8)
+    middle = (side // 2, side // 2)
+    cv2.drawMarker(crop, middle, (80, 255, 120), cv2.MARKER_CROSS, 21, 1, cv2.LINE_AA)
+    x, y = affine[:, :2] @ np.array(found) + affine[:, 2]
+    if abs(x) < 1e4 and abs(y) < 1e4:
+        cv2.circle(crop, (round(float(x)), round(float(y))), 9, (255, 200, 60), 1, cv2.LINE_AA)
+    return crop
 
 
 def _turned(picture: Image, corner: npt.NDArray[np.int64], point: npt.NDArray[Any], rng: np.random.Generator) -> Image:
@@ -158,12 +189,35 @@ def _turned(picture: Image, corner: npt.NDArray[np.int64], point: npt.NDArray[An
     return crop.astype(np.uint8)
 
 
-def _as_input(pictures: list[Image]) -> Tensor:
+def rough_loss(heat: Tensor, points_px: Tensor, present: Tensor) -> Tensor:
+    """Of (N, K, h, w) heat of the reduced picture, for (N, K, 2) places in the picture, where ``present``."""
+    step = COARSE * CELL_PX
+    return _mean_where(_cross_entropy(heat, (points_px - (step - 1) / 2) / step, COARSE_SIGMA_CELLS), present)
+
+
+def close_loss(maps: Tensor, cells: Tensor, present: Tensor, window_cells: int = WINDOW_CELLS) -> Tensor:
+    """Of (N, 3, h, w) maps of close looks, for (N, 2) places in cells, where ``present``."""
+    fine = _mean_where(_cross_entropy(maps[:, :1], cells[:, None], FINE_SIGMA_CELLS)[:, 0], present)
+    place, doubts = read_peak(maps, window_cells)
+    log_sigma, visible = doubts.unbind(1)
+    seen = functional.binary_cross_entropy_with_logits(visible, present.float())
+    error = (_near(maps[:, 0], cells) - cells) * CELL_PX
+    exact = _mean_where(functional.smooth_l1_loss(error, torch.zeros_like(error), reduction="none").sum(1), present)
+    # The logarithm of the error is learnt, and scaled on validation data: the likelihood itself has gradients without
+    # bound where a network is sure and wrong, and all else then stands still.
+    missed = ((place - cells).detach() * CELL_PX).square().mean(1)
+    sure = functional.smooth_l1_loss(log_sigma, 0.5 * torch.log(missed + LEAST_ERROR_PX**2), reduction="none")
+    return fine + exact + _mean_where(sure, present) + seen
+
+
+def as_input(pictures: list[Image]) -> Tensor:
+    """(N, 3, H, W), normalised."""
     return normalized(torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2).float())
 
 
 def _grid(heat: Tensor) -> tuple[Tensor, Tensor]:
-    return torch.arange(heat.shape[-2], dtype=torch.float32), torch.arange(heat.shape[-1], dtype=torch.float32)
+    rows, columns = (torch.arange(size, dtype=torch.float32, device=heat.device) for size in heat.shape[-2:])
+    return rows, columns
 
 
 def _cross_entropy(heat: Tensor, cells: Tensor, sigma_cells: float) -> Tensor:
@@ -184,20 +238,6 @@ def _near(heat: Tensor, cells: Tensor) -> Tensor:
     window = y[:, :, None] & x[:, None, :]
     weight = torch.softmax(heat.masked_fill(~window, -1e4).flatten(1), dim=1).reshape(heat.shape)
     return torch.stack([(weight.sum(1) * columns).sum(1), (weight.sum(2) * rows).sum(1)], dim=1)
-
-
-def _read(maps: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Place (cells), log sigma and visible logit at the peak of (N, 3, h, w) maps, as decoding reads them."""
-    heat = maps[:, 0]
-    peak = heat.flatten(1).argmax(1)
-    cells = torch.stack([peak % heat.shape[2], peak // heat.shape[2]], dim=1).float()
-    rows, columns = _grid(heat)
-    y = (rows - cells[:, 1:]).abs() <= WINDOW_CELLS
-    x = (columns - cells[:, :1]).abs() <= WINDOW_CELLS
-    window = y[:, :, None] & x[:, None, :]
-    weight = torch.softmax(heat.detach().masked_fill(~window, -1e4).flatten(1), dim=1).reshape(heat.shape)
-    place = torch.stack([(weight.sum(1) * columns).sum(1), (weight.sum(2) * rows).sum(1)], dim=1)
-    return place, (weight * maps[:, 1]).sum((1, 2)), (weight * maps[:, 2]).sum((1, 2))
 
 
 def _mean_where(values: Tensor, mask: Tensor) -> Tensor:

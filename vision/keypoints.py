@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -13,6 +14,10 @@ CELL_PX = 2.0
 """The network answers on a grid of 2 x 2 pixels; the centre of the first cell lies at pixel 0.5."""
 WINDOW_CELLS = 5
 """Half the side of the window round the peak that the place is averaged over."""
+PICTURE_PX = (960, 540)
+"""Width and height of the pictures that the networks are made for."""
+BORDER = 128
+"""Grey round a picture of other proportions."""
 VISIBLE_FROM = 0.5
 """Least probability with which a point counts as visible."""
 
@@ -31,14 +36,16 @@ class Keypoint:
     """False: the place means nothing, the point is outside the picture or hidden."""
 
 
-class _Finder:
+class Finder:
     """One network that finds a fixed number of points."""
 
+    task: str
     weights: Path
 
     def __init__(self, network: Network) -> None:
         self._network = network
         self.sha256 = network.sha256
+        self.sigma_scale = network.constants.get("sigma_scale", 1.0)
 
     @classmethod
     def load(cls, weights: Path | None = None) -> Self:
@@ -47,7 +54,7 @@ class _Finder:
         Raises:
             ConfigError: they are missing, or not what their manifest says.
         """
-        return cls(Network(weights or cls.weights))
+        return cls(Network(weights or cls.weights, cls.task))
 
     def find_all(self, image: Image) -> list[Keypoint]:
         """Every point this network knows, in its order.
@@ -55,14 +62,13 @@ class _Finder:
         Raises:
             DetectionError: a picture of another size than the network is made for.
         """
-        corners, maps = self._network.run(picture=np.ascontiguousarray(image))
-        scale = self._network.constants.get("sigma_scale", 1.0)
-        return [decode(maps[k], corners[k], sigma_scale=scale) for k in range(len(corners))]
+        raise NotImplementedError
 
 
-class TipFinder(_Finder):
+class TipFinder(Finder):
     """Finds the drill's tip: the projection of its ball's centre."""
 
+    task = "tip"
     weights = WEIGHTS / "tip.onnx"
 
     def find(self, image: Image) -> Keypoint:
@@ -70,16 +76,58 @@ class TipFinder(_Finder):
         (tip,) = self.find_all(image)
         return tip
 
+    def find_all(self, image: Image) -> list[Keypoint]:
+        """The tip alone.
 
-class LandmarkFinder(_Finder):
+        Raises:
+            DetectionError: a picture of another size than the network is made for.
+        """
+        corners, maps = self._network.run(picture=np.ascontiguousarray(image))
+        return [decode(maps[0], corners[0], sigma_scale=self.sigma_scale)]
+
+
+class LandmarkFinder(Finder):
     """Finds bregma and lambda on the skull."""
 
+    task = "landmarks"
     weights = WEIGHTS / "landmarks.onnx"
 
     def find(self, image: Image) -> tuple[Keypoint, Keypoint]:
         """Bregma and lambda, in this order."""
         bregma, lambda_ = self.find_all(image)
         return bregma, lambda_
+
+    def find_all(self, image: Image) -> list[Keypoint]:
+        """Bregma and lambda, from a picture of any size: the close views agree on the place, or their spread tells."""
+        picture, scale, corner = letterboxed(image)
+        places, log_sigmas, visibles = self._network.run(picture=picture)
+        found = []
+        for k in range(places.shape[1]):
+            place = (np.median(places[:, k], axis=0) - corner) / scale
+            spread = places[:, k].astype(np.float64).std(axis=0).mean()
+            sigma = np.hypot(np.exp(np.median(log_sigmas[:, k])), spread) * self.sigma_scale / scale
+            score = float(1.0 / (1.0 + np.exp(-np.median(visibles[:, k]))))
+            found.append(Keypoint(float(place[0]), float(place[1]), float(sigma), score, visible=score >= VISIBLE_FROM))
+        return found
+
+
+def letterboxed(image: Image) -> tuple[Image, float, npt.NDArray[np.float64]]:
+    """A picture of any size brought to the network's, whole and with its proportions.
+
+    Returns:
+        The picture, its scale, and where its first pixel lies: px there = scale * px here + corner.
+    """
+    width, height = PICTURE_PX
+    scale = min(width / image.shape[1], height / image.shape[0])
+    if scale == 1.0 and image.shape[:2] == (height, width):
+        return np.ascontiguousarray(image), 1.0, np.zeros(2)
+    way = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
+    small = cv2.resize(image, (round(image.shape[1] * scale), round(image.shape[0] * scale)), interpolation=way)
+    left, top = (width - small.shape[1]) // 2, (height - small.shape[0]) // 2
+    result = np.full((height, width, 3), BORDER, np.uint8)
+    result[top : top + small.shape[0], left : left + small.shape[1]] = small
+    # Pixel centres have whole coordinates, so scaling moves the origin by half a pixel.
+    return result, scale, np.array([left, top]) + (scale - 1.0) / 2.0
 
 
 def decode(maps: Floats, corner_px: npt.NDArray[Any], *, sigma_scale: float = 1.0) -> Keypoint:

@@ -14,6 +14,8 @@ CELL_PX = 2
 """Every answer comes on a grid of 2 x 2 pixels."""
 CROP_PX = 128
 """Side of the second look, at full resolution."""
+WINDOW_CELLS = 5
+"""Half the side of the window round a peak that its place is averaged over."""
 _PADDED_PX = (960, 576)
 
 
@@ -30,18 +32,18 @@ class _Block(nn.Sequential):
 
 
 class UNet(nn.Module):
-    """A small U-Net on a picture folded 2 x 2, so that the costly first layers run at half resolution."""
+    """A U-Net on a picture folded 2 x 2, so that the costly first layers run at half resolution."""
 
-    def __init__(self, inputs: int, outputs: int, widths: tuple[int, ...]) -> None:
+    def __init__(self, inputs: int, outputs: int, widths: tuple[int, ...], *, fold: int = CELL_PX) -> None:
         super().__init__()
-        self.fold = nn.PixelUnshuffle(CELL_PX)
-        below = [inputs * CELL_PX**2, *widths]
+        self.fold = nn.PixelUnshuffle(fold)
+        below = [inputs * fold**2, *widths]
         self.down = nn.ModuleList(_Block(a, b) for a, b in zip(below, widths, strict=False))
         self.up = nn.ModuleList(_Block(a + b, b) for a, b in zip(widths[:0:-1], widths[-2::-1], strict=True))
         self.head = nn.Conv2d(widths[0], outputs, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(N, inputs, H, W) -> (N, outputs, H/2, W/2)."""
+        """(N, inputs, H, W) -> (N, outputs, H / fold, W / fold)."""
         x = self.fold(x)
         levels: list[Tensor] = []
         for index, block in enumerate(self.down):
@@ -75,14 +77,12 @@ class KeypointNet(nn.Module):
         """The close look: (N, 3, S, S) crops, (N,) index of the point sought -> (N, 3, S/2, S/2) maps."""
         maps = self.fine(crops)
         maps = maps.reshape(maps.shape[0], self.points, 3, *maps.shape[2:])
-        return cast(Tensor, maps[torch.arange(maps.shape[0]), point])
+        return cast(Tensor, maps[torch.arange(maps.shape[0], device=maps.device), point])
 
     def forward(self, picture: Tensor) -> tuple[Tensor, Tensor]:
         """(540, 960, 3) uint8 -> corners (points, 2) of the crops in px, and their maps (points, 3, S/2, S/2)."""
         x = normalized(picture.permute(2, 0, 1)[None].float())
-        reduced = functional.avg_pool2d(x, COARSE)
-        reduced = functional.pad(reduced, (0, 0, 0, (_PADDED_PX[1] - PICTURE_PX[1]) // COARSE), mode="replicate")
-        heat = self.look(reduced)
+        heat = self.look(reduced(x))
         cells = heat.flatten(2).argmax(2)[0]
         step = COARSE * CELL_PX
         center = torch.stack([cells % heat.shape[3], cells // heat.shape[3]], dim=1) * step + step // 2
@@ -116,6 +116,26 @@ class CompletionNet(nn.Module):
         maps = self.body(normalized(crops.permute(0, 3, 1, 2).float()))
         completion = torch.sigmoid(maps[:, :1])
         return torch.cat([completion, completion + functional.softplus(maps[:, 1:2]), maps[:, 2:]], dim=1)
+
+
+def reduced(x: Tensor) -> Tensor:
+    """(1, C, 540, 960) -> (1, C, 144, 240), for a rough look: the last rows are padding."""
+    return functional.pad(
+        functional.avg_pool2d(x, COARSE), (0, 0, 0, (_PADDED_PX[1] - PICTURE_PX[1]) // COARSE), mode="replicate"
+    )
+
+
+def read_peak(maps: Tensor, window_cells: int = WINDOW_CELLS) -> tuple[Tensor, Tensor]:
+    """What (N, 1 + M, h, w) maps say round the peak of the first: (N, 2) place in cells, (N, M) mean of the others."""
+    heat = maps[:, 0]
+    rows, columns = (torch.arange(size, dtype=torch.float32, device=heat.device) for size in heat.shape[1:])
+    peak = heat.flatten(1).argmax(1)
+    y = (rows - (peak // heat.shape[2])[:, None]).abs() <= window_cells
+    x = (columns - (peak % heat.shape[2])[:, None]).abs() <= window_cells
+    window = y[:, :, None] & x[:, None, :]
+    weight = torch.softmax(heat.detach().masked_fill(~window, -1e4).flatten(1), dim=1).reshape(heat.shape)
+    place = torch.stack([(weight.sum(1) * columns).sum(1), (weight.sum(2) * rows).sum(1)], dim=1)
+    return place, (weight[:, None] * maps[:, 1:]).sum((2, 3))
 
 
 def normalized(x: Tensor) -> Tensor:

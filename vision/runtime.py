@@ -25,13 +25,14 @@ MANIFEST = "manifest.json"
 class Network:
     """A trained network, loaded once and run many times."""
 
-    def __init__(self, path: Path) -> None:
-        """Load ``path``.
+    def __init__(self, path: Path, task: str | None = None) -> None:
+        """Load ``path``, which must have been trained for ``task`` if one is named.
 
         Raises:
-            ConfigError: the file is missing, or is not the one that ``manifest.json`` beside it describes.
+            ConfigError: the file is missing, is not the one that ``manifest.json`` beside it describes, or was trained
+                for another task.
         """
-        self.sha256 = verify(path)
+        self.sha256 = verify(path, task)
         import onnxruntime
 
         options = onnxruntime.SessionOptions()
@@ -75,14 +76,17 @@ TASKS = ("tip", "landmarks", "completion")
 """What networks are trained for, and the names of the weights that come with mill."""
 
 
-def verify(path: Path) -> str:
+def verify(path: Path, task: str | None = None) -> str:
     """Check ``path`` against the manifest beside it and return its hash."""
-    task = path.stem if path.stem in TASKS else "TASK"
-    remedy = f"restore the file, or train it anew: mill train {task} --out {path}"
+    named = task or (path.stem if path.stem in TASKS else "TASK")
+    remedy = f"restore the file, or train it anew: mill train {named} --out {path}"
     if not path.is_file():
         raise ConfigError(f"{path}: no such weights; {remedy}")
     found = sha256_of(path)
-    expected = read_manifest(path.parent).get(path.name, {}).get("sha256")
+    about = read_manifest(path.parent).get(path.name, {})
+    expected = about.get("sha256")
+    if found == expected and task is not None and about.get("task", task) != task:
+        raise ConfigError(f"{path}: weights for {about['task']}; those for {task} are needed; {remedy}")
     if found != expected:
         raise ConfigError(
             f"{path}: SHA-256 {found} found, {expected or 'none'} expected by {path.parent / MANIFEST}; {remedy}"

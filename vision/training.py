@@ -4,28 +4,35 @@ Each step draws its batch from the seed and its own number, so a killed training
 where the uninterrupted one would have ended.
 """
 
+import math
+import pickle
+import tempfile
 import warnings
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 import onnx
 import torch
 from torch import Tensor, nn
 
 from drivers.errors import ConfigError
 from vision.runtime import Image, Network, write_manifest
+from vision.samples import Arrays, Data
 
 Batch = dict[str, Tensor]
-Data = Mapping[str, npt.NDArray[Any]]
 Progress = Callable[[int, int, float], None]
 """Called with the step, the number of steps and the loss."""
 
 CHECKPOINT_STEPS = 100
+CHECKS = 20
+"""How often a training is judged on validation data."""
+CHECK_BATCHES = 6
+PATIENCE = 8
+"""A training ends once so many checks have brought nothing better."""
 PARITY = 2e-3
 """Largest difference allowed between torch and the exported file."""
 
@@ -34,9 +41,36 @@ PARITY = 2e-3
 class Recipe:
     """How long and how fast."""
 
-    steps: int
     batch: int
     learning_rate: float
+    steps: int = 0
+    epochs: int = 0
+    """In place of ``steps``: how often each sample is drawn."""
+    plan: Literal["one-cycle", "three-rates"] = "one-cycle"
+    """AdamW with a warm-up and a long decay; or Adam at the rate, a tenth and a hundredth of it, a third each."""
+
+    def steps_for(self, samples: int) -> int:
+        """How many steps a training on so many samples takes."""
+        return self.steps or math.ceil(self.epochs * samples / self.batch)
+
+
+@dataclass(frozen=True)
+class History:
+    """How a training went."""
+
+    losses: tuple[float, ...]
+    """Of each step."""
+    checks: tuple[tuple[int, float], ...]
+    """Step and loss on validation data."""
+
+
+@dataclass(frozen=True)
+class Worst:
+    """One of the worst readings, to be looked at."""
+
+    picture: Image
+    """With the truth and the reading drawn in."""
+    caption: str
 
 
 class Task(Protocol):
@@ -44,6 +78,7 @@ class Task(Protocol):
 
     name: str
     recipes: Mapping[str, Recipe]
+    arrays: Arrays
 
     def network(self) -> nn.Module:
         """A fresh network."""
@@ -54,8 +89,8 @@ class Task(Protocol):
     def loss(self, network: nn.Module, batch: Batch) -> Tensor:
         """What the training makes small."""
 
-    def example(self) -> dict[str, Tensor]:
-        """Inputs of the exported network, by name."""
+    def example(self, data: Data) -> dict[str, Tensor]:
+        """Inputs of the exported network, by name: the first sample of ``data``."""
 
     def calibrate(self, network: Network, data: Data) -> dict[str, float]:
         """Constants measured on validation data, which make the network's own doubts honest."""
@@ -63,84 +98,161 @@ class Task(Protocol):
     def judge(self, network: Network, data: Data) -> dict[str, float]:
         """Figures on held-out data, with the unit in each key."""
 
-
-def load_data(folder: Path, split: str) -> Data:
-    """The arrays of ``folder/split``, mapped rather than read."""
-    files = sorted((folder / split).glob("*.npy"))
-    if not files:
-        raise ConfigError(f"{folder / split}: found no .npy arrays; leave --data out to have pictures rendered")
-    return {file.stem: np.load(file, mmap_mode="r", allow_pickle=False) for file in files}
+    def worst(self, network: Network, data: Data, count: int) -> list[Worst]:
+        """The readings that are furthest off, the worst first."""
 
 
-def train(task: Task, data: Data, recipe: Recipe, *, seed: int, checkpoint: Path, progress: Progress) -> nn.Module:
-    """Train a network, resuming from ``checkpoint`` where one of the same task, recipe and seed is found."""
+def train(
+    task: Task, data: Data, validation: Data, recipe: Recipe, *, seed: int, checkpoint: Path, progress: Progress
+) -> tuple[nn.Module, History]:
+    """Train a network, resuming from ``checkpoint`` where one of the same task, recipe, seed and data is found.
+
+    It is judged ``CHECKS`` times on the way by its loss on ``validation``; the best of them is what comes back, and the
+    training ends early once the best is ``PATIENCE`` checks old.
+
+    Returns:
+        The network, and the losses on the way.
+
+    Raises:
+        ConfigError: the checkpoint is of another training, or the loss is not a number.
+    """
     torch.set_num_threads(1)
     torch.manual_seed(seed)
-    network = task.network().train()
-    optimizer = torch.optim.AdamW(network.parameters(), lr=recipe.learning_rate, weight_decay=1e-4)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, max_lr=recipe.learning_rate, total_steps=recipe.steps, pct_start=0.1
-    )
-    identity = {"task": task.name, "seed": seed, **asdict(recipe)}
-    first = 0
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    network = task.network().train().to(device)
+    steps = recipe.steps_for(len(next(iter(data.values()))))
+    optimizer, schedule = _plan(network, recipe, steps)
+    identity = {"task": task.name, "seed": seed, **asdict(recipe), "steps": steps, "samples": _samples(data)}
+    state: dict[str, Any] = {"step": 0, "best": None, "losses": [], "checks": []}
     if checkpoint.is_file():
-        saved = torch.load(checkpoint, weights_only=True)
-        if saved["identity"] != identity:
-            raise ConfigError(
-                f"{checkpoint}: checkpoint of {saved['identity']} found, {identity} expected; delete it to start anew"
-            )
-        network.load_state_dict(saved["network"])
-        optimizer.load_state_dict(saved["optimizer"])
-        schedule.load_state_dict(saved["schedule"])
-        first = saved["step"]
-    for step in range(first, recipe.steps):
-        batch = task.batch(data, recipe.batch, np.random.default_rng((seed, step)))
-        with torch.autocast("cpu", dtype=torch.bfloat16):
-            loss = task.loss(network, batch)
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(network.parameters(), 5.0)
-        optimizer.step()
-        schedule.step()
-        progress(step + 1, recipe.steps, loss.item())
-        if (step + 1) % CHECKPOINT_STEPS == 0:
-            scratch = checkpoint.with_suffix(".new")
-            torch.save(
-                {
-                    "identity": identity,
-                    "step": step + 1,
-                    "network": network.state_dict(),
-                    "optimizer": optimizer.state_dict(),
-                    "schedule": schedule.state_dict(),
-                },
-                scratch,
-            )
-            scratch.replace(checkpoint)
-    return network.eval()
+        state = _resumed(checkpoint, identity)
+        network.load_state_dict(state["network"])
+        optimizer.load_state_dict(state["optimizer"])
+        schedule.load_state_dict(state["schedule"])
+
+    def drawn(step: int) -> Batch:
+        return task.batch(data, recipe.batch, np.random.default_rng((seed, step)))
+
+    held_out = [task.batch(validation, recipe.batch, np.random.default_rng((seed, 1, k))) for k in range(CHECK_BATCHES)]
+    every = max(1, steps // CHECKS)
+    # The next batch is made while the network computes: pictures are cut and relit without the interpreter's lock.
+    with ThreadPoolExecutor(1) as maker:
+        coming = maker.submit(drawn, state["step"])
+        for step in range(state["step"], steps):
+            batch = _on(device, coming.result())
+            coming = maker.submit(drawn, step + 1)
+            with torch.autocast(device, dtype=torch.bfloat16):
+                loss = task.loss(network, batch)
+            if not torch.isfinite(loss):
+                raise ConfigError(
+                    f"the loss of {task.name} is not a number at step {step + 1}; look through the data, or use "
+                    f"another --seed; nothing was written but {checkpoint}"
+                )
+            optimizer.zero_grad(set_to_none=True)
+            loss.backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(network.parameters(), 5.0)
+            optimizer.step()
+            schedule.step()
+            state["step"] = step + 1
+            state["losses"].append(loss.item())
+            progress(step + 1, steps, loss.item())
+            if (step + 1) % every == 0 or step + 1 == steps:
+                check = _held_out_loss(task, network, held_out, device)
+                state["checks"].append((step + 1, check))
+                if check <= min(value for _, value in state["checks"]):
+                    state["best"] = {name: value.detach().clone() for name, value in network.state_dict().items()}
+                if _stale(state["checks"]):
+                    break
+            if (step + 1) % CHECKPOINT_STEPS == 0:
+                _save(checkpoint, identity, state, network, optimizer, schedule)
+    network.load_state_dict(state["best"])
+    return network.cpu().eval(), History(tuple(state["losses"]), tuple(tuple(check) for check in state["checks"]))
+
+
+def _samples(data: Data) -> int:
+    return len(next(iter(data.values())))
+
+
+def _on(device: str, batch: Batch) -> Batch:
+    return {name: value.to(device) for name, value in batch.items()}
+
+
+def _stale(checks: list[tuple[int, float]]) -> bool:
+    """Whether the best check is ``PATIENCE`` old."""
+    values = [value for _, value in checks]
+    return len(values) - 1 - values.index(min(values)) >= PATIENCE
+
+
+def _held_out_loss(task: Task, network: nn.Module, batches: list[Batch], device: str) -> float:
+    network.eval()
+    with torch.no_grad(), torch.autocast(device, dtype=torch.bfloat16):
+        losses = [task.loss(network, _on(device, batch)).item() for batch in batches]
+    network.train()
+    return float(np.mean(losses))
+
+
+def _resumed(checkpoint: Path, identity: dict[str, Any]) -> dict[str, Any]:
+    try:
+        saved: dict[str, Any] = torch.load(checkpoint, weights_only=True)
+        found = saved["identity"]
+    except (OSError, RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError):
+        raise ConfigError(f"{checkpoint}: is no checkpoint of a training; delete it to start anew") from None
+    if found != identity:
+        raise ConfigError(f"{checkpoint}: checkpoint of {found} found, {identity} expected; delete it to start anew")
+    return saved
+
+
+def _save(
+    checkpoint: Path,
+    identity: dict[str, Any],
+    state: dict[str, Any],
+    network: nn.Module,
+    optimizer: torch.optim.Optimizer,
+    schedule: torch.optim.lr_scheduler.LRScheduler,
+) -> None:
+    parts: dict[str, Any] = {"network": network, "optimizer": optimizer, "schedule": schedule}
+    scratch = checkpoint.with_suffix(".new")
+    torch.save({**state, "identity": identity, **{name: part.state_dict() for name, part in parts.items()}}, scratch)
+    scratch.replace(checkpoint)
+
+
+def _plan(
+    network: nn.Module, recipe: Recipe, steps: int
+) -> tuple[torch.optim.Optimizer, torch.optim.lr_scheduler.LRScheduler]:
+    if recipe.plan == "three-rates":
+        adam = torch.optim.Adam(network.parameters(), lr=recipe.learning_rate)
+        return adam, torch.optim.lr_scheduler.MultiStepLR(adam, [steps // 3, 2 * steps // 3])
+    adam_w = torch.optim.AdamW(network.parameters(), lr=recipe.learning_rate, weight_decay=1e-4)
+    one_cycle = torch.optim.lr_scheduler.OneCycleLR
+    return adam_w, one_cycle(adam_w, max_lr=recipe.learning_rate, total_steps=steps, pct_start=0.1)
 
 
 def finish(
     task: Task, network: nn.Module, path: Path, validation: Data, test: Data, about: Mapping[str, Any]
 ) -> dict[str, float]:
-    """Export a trained network to ``path``, calibrate it, judge it, and enter it into the manifest beside it.
+    """Export a trained network, calibrate it, judge it, and only then put it to ``path`` and into the manifest there.
 
     Returns:
         The figures on ``test``.
+
+    Raises:
+        ConfigError: the network is not fit for use; what was at ``path`` stays.
     """
-    export(task, network, path)
-    write_manifest(path, about)
-    constants = task.calibrate(Network(path), validation)
-    _set_constants(path, constants)
-    write_manifest(path, about)
-    figures = task.judge(Network(path), test)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as scratch:
+        draft = Path(scratch) / path.name
+        export(task, network, draft, validation)
+        _set_constants(draft, task.calibrate(Network(draft), validation))
+        write_manifest(draft, {})
+        figures = task.judge(Network(draft), test)
+        draft.replace(path)
     write_manifest(path, {**about, "held_out": figures})
     return figures
 
 
-def export(task: Task, network: nn.Module, path: Path) -> None:
-    """Write ONNX, and make sure that ONNX Runtime computes what torch does."""
-    example = task.example()
-    path.parent.mkdir(parents=True, exist_ok=True)
+def export(task: Task, network: nn.Module, path: Path, data: Data) -> None:
+    """Write ONNX, and make sure that ONNX Runtime computes what torch does from the first sample of ``data``."""
+    example = task.example(data)
     network.eval()
     with warnings.catch_warnings():
         # The tracing exporter is announced to go; its successor needs a package that nothing else here needs.
@@ -168,19 +280,3 @@ def _set_constants(path: Path, constants: Mapping[str, float]) -> None:
     model = onnx.load(path)
     onnx.helper.set_model_props(model, {key: repr(float(value)) for key, value in constants.items()})
     onnx.save(model, path)
-
-
-def relit(picture: Image, rng: np.random.Generator) -> Image:
-    """The same picture under another light and through another camera: gain, gamma, tint, haze, blur, noise."""
-    level = np.arange(256, dtype=np.float32) / 255.0
-    gamma = np.exp(rng.uniform(-0.35, 0.35))
-    gain = np.exp(rng.uniform(-0.25, 0.25) + rng.uniform(-0.1, 0.1, size=picture.shape[2]))
-    offset = rng.uniform(-0.05, 0.05)
-    table = np.clip(255.0 * (gain[None, :] * level[:, None] ** gamma + offset), 0, 255).astype(np.uint8)
-    result = np.stack([cv2.LUT(picture[..., c], table[:, c]) for c in range(picture.shape[2])], axis=-1)
-    if rng.random() < 0.25:
-        result = cv2.GaussianBlur(result, (0, 0), rng.uniform(0.4, 1.6))
-    if rng.random() < 0.3:
-        noise = rng.normal(0.0, rng.uniform(1.0, 5.0), size=picture.shape).astype(np.float32)
-        result = np.clip(result + noise, 0, 255)
-    return np.asarray(result, dtype=np.uint8)

@@ -58,6 +58,16 @@ def test_a_bad_file_is_named_with_its_key(tmp_path: Path, old: str, new: str, sa
         assert words in message
 
 
+def test_weights_of_ones_own_count_from_the_rig_file(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(GOOD + '\n[weights]\nlandmarks = "nets/landmarks.onnx"\n')
+    weights = load_rig(path).weights
+    assert (weights.landmarks, weights.tip) == (tmp_path / "nets/landmarks.onnx", None)
+    path.write_text(GOOD + '\n[weights]\nlandmark = "x.onnx"\n')
+    with pytest.raises(ConfigError, match=r"weights\.landmark: unknown key; allowed: tip, landmarks, completion"):
+        load_rig(path)
+
+
 def test_a_file_that_is_not_there_names_the_next_step(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"no-rig\.toml: no such rig file; `mill emulate"):
         load_rig(tmp_path / "no-rig.toml")

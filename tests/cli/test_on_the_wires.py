@@ -1,5 +1,6 @@
 """The commands on real wires: a bench in another process, its rig file, and nothing else that they share."""
 
+import csv
 import errno
 import json
 import signal
@@ -10,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import serial
@@ -47,6 +49,23 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The rig file of a served bench, with the bench's truth beside it."""
     with served_bench(tmp_path_factory.mktemp("bench")) as served:
         yield served.rig_file
+
+
+def test_pictures_are_collected_with_the_state_of_the_devices(
+    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "set"
+    words = ["dataset", "collect", "--rig", str(bench), "--out", str(out), "--pairs", "2", "--every", "0"]
+    assert mill(*words) == 0
+    with (out / "state.csv").open() as file:
+        first, second = csv.DictReader(file)
+    assert float(first["exposed_at_s"]) < float(second["exposed_at_s"])
+    assert float(first["speed_rpm"]) == 0
+    assert all(-100 < float(first[axis]) < 100 for axis in ("x_mm", "y_mm", "z_mm"))
+    for name in (first["left"], second["right"]):
+        assert cv2.imread(str(out / "images" / name)).shape == (540, 960, 3)
+    assert mill(*words) == 2
+    assert "is there already" in capsys.readouterr().err
 
 
 def test_doctor_passes_and_every_check_says_what_it_is(

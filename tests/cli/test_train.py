@@ -30,7 +30,10 @@ def test_a_network_is_trained_measured_and_measured_again(tiny: Path, capsys: py
     manifest = json.loads((tiny / "new/manifest.json").read_text())["completion.onnx"]
     assert (manifest["task"], manifest["seed"], manifest["steps"]) == ("completion", 3, 2)
     made = sorted(path.name for path in (tiny / "new").iterdir())
-    assert made == ["completion.data", "completion.onnx", "manifest.json"]
+    assert made == ["completion.data", "completion.html", "completion.onnx", "manifest.json"]
+    page = (tiny / "new/completion.html").read_text()
+    for part in ("upper_bound_coverage", "data:image/jpeg", "validation pictures", "polyline"):
+        assert part in page
 
     again = [
         "evaluate",
@@ -70,7 +73,8 @@ def test_mills_own_network_is_measured_on_a_specimen_of_a_file(tiny: Path, capsy
     [
         (["train", "mouse", "--out", "x.onnx"], ["TASK", "mouse", "landmarks", "mill train --help"]),
         (["train", "tip"], ["--out"]),
-        (["train", "tip", "--recipe", "paper", "--out", "x.onnx"], ["--recipe", "paper", "default"]),
+        (["train", "tip", "--recipe", "mine", "--out", "x.onnx"], ["--recipe", "mine", "paper", "default"]),
+        (["train", "completion", "--recipe", "paper", "--out", "x.onnx"], ["--recipe paper", "completion", "default"]),
         (["train", "tip", "--out", "file/x.onnx"], ["file", "name another place"]),
         (["train", "tip", "--out", "."], ["--out", "directory"]),
         (["evaluate", "mouse"], ["TASK", "mouse", "landmarks", "mill evaluate --help"]),

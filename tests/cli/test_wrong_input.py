@@ -24,6 +24,15 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.parametrize("command", ["run", "calibrate"])
+def test_missing_weights_of_ones_own_are_named(command: str, rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig.write_text(GOOD + '\n[weights]\ntip = "mine.onnx"\n')
+    assert mill(command, "--rig", "rig.toml") == 2
+    said = capsys.readouterr().err
+    for part in ("mine.onnx", "no such weights", "mill train tip"):
+        assert part in said
+
+
 @pytest.mark.parametrize(
     ("command", "words", "says"),
     [

@@ -218,5 +218,20 @@ def test_a_calibration_of_something_else_moves_no_drill_near_bone(bench: Virtual
     assert not list(read_run(tmp_path / "run").of_kind("floor"))
 
 
+def test_landmarks_too_near_to_each_other_are_something_else(bench: VirtualRig, tmp_path: Path) -> None:
+    find_landmarks = bench.finders.find_landmarks
+
+    def confused(image: object) -> object:
+        bregma, lambda_ = find_landmarks(image)  # type: ignore[arg-type]
+        halfway = (bregma.x_px + lambda_.x_px) / 2, (bregma.y_px + lambda_.y_px) / 2
+        return replace(bregma, x_px=halfway[0], y_px=halfway[1]), lambda_  # type: ignore[type-var]
+
+    bench.finders = replace(bench.finders, find_landmarks=confused)  # type: ignore[arg-type]
+    result = bench.run(tmp_path / "run", JOB)
+    assert result.outcome == "aborted"
+    assert "mm apart" in result.reason
+    assert not list(read_run(tmp_path / "run").of_kind("floor"))
+
+
 def test_the_thin_specimen_is_what_the_job_was_cut_for() -> None:
     assert THIN.skull.thickness_mm.max < JOB.thickness_high_mm

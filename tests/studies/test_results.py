@@ -25,5 +25,19 @@ def test_a_held_run_is_no_success_even_with_a_free_flap() -> None:
     assert "simulation" in text
 
 
+def test_an_experiment_tells_its_command_its_count_and_its_intervals() -> None:
+    ours = {"trials": 9, "failed": 0, "height_rmse_mm": 0.02, "height_rmse_mm_low": 0.015, "height_rmse_mm_high": 0.025}
+    result = {
+        "command": "experiment surface",
+        "seed": 3,
+        "recipes": {"default": {**ours, "within_2_sigma": 0.9}, "paper": {"trials": 9, "failed": 9}},
+    }
+    text = page({}, [result])
+    assert "mill experiment surface --specimens 9 --seed 3" in text
+    assert "| failed | 0 | 9 |" in text
+    assert "| height_rmse_mm | 0.02 (0.015-0.025) |  |" in text
+    assert "None were given" in text
+
+
 def test_seeds_are_named_by_ranges() -> None:
     assert seeds_of("0-3,7") == [0, 1, 2, 3, 7]

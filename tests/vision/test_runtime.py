@@ -18,14 +18,14 @@ class Double(torch.nn.Module):
 class DoubleTask:
     name = "double"
 
-    def example(self):
+    def example(self, data):
         return {"x": torch.ones(3)}
 
 
 @pytest.fixture
 def weights(tmp_path):
     path = tmp_path / "double.onnx"
-    export(DoubleTask(), Double(), path)
+    export(DoubleTask(), Double(), path, {})
     return path
 
 
@@ -84,4 +84,11 @@ def test_nan_is_no_answer(weights):
 def test_shipped_weights_are_small_and_as_described(task):
     path = WEIGHTS / f"{task}.onnx"
     Network(path)
-    assert path.stat().st_size < 1.5e6
+    assert path.stat().st_size < 4e6
+
+
+def test_weights_of_another_task_are_refused(weights):
+    write_manifest(weights, {"task": "tip"})
+    assert Network(weights, "tip").sha256
+    with pytest.raises(ConfigError, match="weights for tip; those for landmarks are needed"):
+        Network(weights, "landmarks")

@@ -3,13 +3,17 @@
 import cv2
 import numpy as np
 import pytest
+import torch
 
-from drivers.errors import ConfigError
+from drivers.errors import ConfigError, MillError
 from vision.completion import CompletionReader
 from vision.completion_training import STORED_PX, CompletionTask, paint_labels
 from vision.keypoint_training import KeypointTask
+from vision.keypoints import decode
+from vision.paper_recipe import PaperNet, PaperTask
 from vision.runtime import Network
-from vision.training import Recipe, export, load_data, train
+from vision.samples import load_data
+from vision.training import Recipe, export, finish, train
 
 TINY = Recipe(steps=12, batch=2, learning_rate=3e-3)
 
@@ -55,9 +59,15 @@ def rings():
     }
 
 
+@pytest.fixture(autouse=True)
+def _to_the_end(monkeypatch):
+    """Trainings of a few steps are judged after each of them, and would end before they had begun."""
+    monkeypatch.setattr("vision.training.PATIENCE", 99)
+
+
 def losses_of(task, data, tmp_path, steps=TINY):
     seen = []
-    train(task, data, steps, seed=1, checkpoint=tmp_path / "c", progress=lambda step, of, loss: seen.append(loss))
+    train(task, data, data, steps, seed=1, checkpoint=tmp_path / "c", progress=lambda step, of, loss: seen.append(loss))
     return seen
 
 
@@ -83,10 +93,10 @@ def test_a_killed_training_ends_where_it_would_have_ended(rings, tmp_path, monke
         if step == 7:
             raise KilledError
 
-    whole = train(CompletionTask(), rings, TINY, seed=2, checkpoint=tmp_path / "whole", progress=quiet)
+    whole, _ = train(CompletionTask(), rings, rings, TINY, seed=2, checkpoint=tmp_path / "whole", progress=quiet)
     with pytest.raises(KilledError):
-        train(CompletionTask(), rings, TINY, seed=2, checkpoint=tmp_path / "killed", progress=kill)
-    resumed = train(CompletionTask(), rings, TINY, seed=2, checkpoint=tmp_path / "killed", progress=quiet)
+        train(CompletionTask(), rings, rings, TINY, seed=2, checkpoint=tmp_path / "killed", progress=kill)
+    resumed, _ = train(CompletionTask(), rings, rings, TINY, seed=2, checkpoint=tmp_path / "killed", progress=quiet)
     for a, b in zip(whole.state_dict().values(), resumed.state_dict().values(), strict=True):
         assert a.equal(b)
 
@@ -94,15 +104,86 @@ def test_a_killed_training_ends_where_it_would_have_ended(rings, tmp_path, monke
 def test_a_checkpoint_of_another_training_is_refused(rings, tmp_path, monkeypatch):
     monkeypatch.setattr("vision.training.CHECKPOINT_STEPS", 1)
     one = Recipe(steps=4, batch=2, learning_rate=1e-3)
-    train(CompletionTask(), rings, one, seed=2, checkpoint=tmp_path / "c", progress=quiet)
+    train(CompletionTask(), rings, rings, one, seed=2, checkpoint=tmp_path / "c", progress=quiet)
     with pytest.raises(ConfigError, match=r"delete it to start anew"):
-        train(CompletionTask(), rings, one, seed=3, checkpoint=tmp_path / "c", progress=quiet)
+        train(CompletionTask(), rings, rings, one, seed=3, checkpoint=tmp_path / "c", progress=quiet)
+
+
+def test_a_training_that_gains_nothing_more_ends_early(rings, tmp_path, monkeypatch):
+    monkeypatch.setattr("vision.training.PATIENCE", 8)
+    held_out = iter([3.0, 1.0, *[2.0] * 20])
+    monkeypatch.setattr("vision.training._held_out_loss", lambda *_: next(held_out))
+    recipe = Recipe(steps=40, batch=2, learning_rate=1e-3)
+    _, history = train(CompletionTask(), rings, rings, recipe, seed=2, checkpoint=tmp_path / "c", progress=quiet)
+    assert history.checks[:3] == ((2, 3.0), (4, 1.0), (6, 2.0))
+    assert len(history.losses) == 4 + 2 * 8
+
+
+def test_the_best_on_the_way_comes_back(rings, tmp_path, monkeypatch):
+    """Where the first check is the best, what is learnt after it does not count; where the last is, all of it does."""
+    recipe = Recipe(steps=20, batch=2, learning_rate=1e-3)
+    biases = []
+    for name, held_out in (("rising", iter(range(99))), ("falling", iter(range(99, 0, -1)))):
+        monkeypatch.setattr("vision.training._held_out_loss", lambda *_, held_out=held_out: next(held_out))
+        best, _ = train(CompletionTask(), rings, rings, recipe, seed=2, checkpoint=tmp_path / name, progress=quiet)
+        biases.append(best.body.head.bias.detach())
+    torch.manual_seed(2)
+    fresh = CompletionTask().network().body.head.bias.detach()
+    assert 0 < (biases[0] - fresh).abs().sum() < (biases[1] - fresh).abs().sum()
+
+
+def test_a_loss_that_is_no_number_ends_the_training(rings, tmp_path):
+    class Sick(CompletionTask):
+        def loss(self, network, batch):
+            return super().loss(network, batch) * float("nan")
+
+    with pytest.raises(ConfigError, match="not a number at step 1"):
+        train(Sick(), rings, rings, TINY, seed=2, checkpoint=tmp_path / "c", progress=quiet)
+
+
+def test_a_damaged_checkpoint_is_named(rings, tmp_path):
+    (tmp_path / "c").write_bytes(b"no checkpoint")
+    with pytest.raises(ConfigError, match=r"c: is no checkpoint of a training; delete it to start anew"):
+        train(CompletionTask(), rings, rings, TINY, seed=2, checkpoint=tmp_path / "c", progress=quiet)
+
+
+def test_a_network_that_is_not_fit_leaves_the_old_one_in_place(rings, tmp_path, monkeypatch):
+    task, path = CompletionTask(), tmp_path / "completion.onnx"
+    finish(task, task.network(), path, rings, rings, {"seed": 1})
+    good, manifest = path.read_bytes(), (tmp_path / "manifest.json").read_bytes()
+    sick = task.network()
+    sick.body.head.weight.data[:] = float("nan")
+    with pytest.raises(MillError, match="NaN"):
+        finish(task, sick, path, rings, rings, {"seed": 2})
+    assert path.read_bytes() == good
+    assert (tmp_path / "manifest.json").read_bytes() == manifest
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["completion.onnx", "manifest.json"]
+
+
+def test_the_papers_recipe_learns_and_serves_the_same_finder(discs, tmp_path):
+    task = PaperTask("tip", ("tip",), widths=(4, 8))
+    recipe = Recipe(epochs=3, batch=2, learning_rate=1e-3, plan="three-rates")
+    assert recipe.steps_for(4) == 6
+    network, history = train(task, discs, discs, recipe, seed=1, checkpoint=tmp_path / "c", progress=quiet)
+    assert len(history.losses) == 6
+    export(task, network, tmp_path / "tip.onnx", discs)
+    assert set(task.judge(Network(tmp_path / "tip.onnx"), discs)) >= {"tip_rmse_px", "tip_missed"}
+
+
+def test_the_papers_peak_is_the_place():
+    network = PaperNet(1, widths=(4, 8)).eval()
+    confidence = torch.zeros(1, 1, 540, 960)
+    confidence[0, 0, 123, 456] = 0.9
+    network.maps = lambda pictures: confidence
+    corners, maps = network(torch.zeros(540, 960, 3, dtype=torch.uint8))
+    found = decode(maps[0].numpy(), corners[0].numpy())
+    assert (found.x_px, found.y_px, found.visible) == (pytest.approx(456), pytest.approx(123), True)
 
 
 def test_exported_keypoints_answer_in_pixels_of_the_picture(discs, tmp_path):
     task = KeypointTask("tip", ("tip",), steps=1)
     path = tmp_path / "tip.onnx"
-    export(task, task.network(), path)
+    export(task, task.network(), path, discs)
     corners, maps = Network(path).run(picture=discs["pictures"][0])
     assert corners.shape == (1, 2)
     assert maps.shape == (1, 3, 64, 64)
@@ -113,7 +194,7 @@ def test_exported_keypoints_answer_in_pixels_of_the_picture(discs, tmp_path):
 def test_exported_completion_reads_a_ring_of_any_radius(rings, tmp_path):
     task = CompletionTask()
     path = tmp_path / "completion.onnx"
-    export(task, task.network(), path)
+    export(task, task.network(), path, rings)
     reader = CompletionReader(Network(path))
     image = np.full((540, 960, 3), 120, np.uint8)
     angles = np.arange(32) * 2 * np.pi / 32
@@ -128,10 +209,10 @@ def test_exported_completion_reads_a_ring_of_any_radius(rings, tmp_path):
     assert set(task.judge(Network(path), rings)) >= {"rmse", "upper_bound_coverage", "penetration_recall"}
 
 
-def test_a_ring_that_leaves_the_picture_is_not_visible_there(tmp_path):
+def test_a_ring_that_leaves_the_picture_is_not_visible_there(rings, tmp_path):
     task = CompletionTask()
     path = tmp_path / "completion.onnx"
-    export(task, task.network(), path)
+    export(task, task.network(), path, rings)
     angles = np.arange(32) * 2 * np.pi / 32
     ring = np.stack([930 + 50 * np.cos(angles), 250 + 50 * np.sin(angles)], axis=1)
     reading = CompletionReader(Network(path)).read(np.zeros((540, 960, 3), np.uint8), ring, 50.0, reference=None)
@@ -151,4 +232,25 @@ def test_paint_follows_the_ring_and_leaves_the_rest(rings):
 
 def test_missing_data_names_the_folder(tmp_path):
     with pytest.raises(ConfigError, match=r"found no \.npy arrays"):
-        load_data(tmp_path, "train")
+        load_data(tmp_path, "train", "completion", CompletionTask.arrays)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda folder: (folder / "visible.npy").unlink(), r"no visible\.npy; is this a data set for tip"),
+        (lambda folder: (folder / "points.npy").write_bytes(b"damaged"), r"points\.npy: cannot be read"),
+        (lambda folder: np.save(folder / "points.npy", np.zeros((4, 2, 2))), r"takes \(N, 1, 2\)"),
+        (lambda folder: np.save(folder / "pictures.npy", np.zeros((4, 540, 960, 3))), "float64 of shape"),
+        (lambda folder: np.save(folder / "points.npy", np.zeros((3, 1, 2))), r"arrays of \[3, 4\] samples"),
+    ],
+)
+def test_data_of_another_kind_is_refused(discs, tmp_path, spoil, says):
+    (tmp_path / "train").mkdir()
+    for name, values in discs.items():
+        np.save(tmp_path / "train" / f"{name}.npy", values)
+    task = KeypointTask("tip", ("tip",), steps=1)
+    assert load_data(tmp_path, "train", "tip", task.arrays)["points"].shape == (4, 1, 2)
+    spoil(tmp_path / "train")
+    with pytest.raises(ConfigError, match=says):
+        load_data(tmp_path, "train", "tip", task.arrays)

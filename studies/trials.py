@@ -1,0 +1,109 @@
+"""Many trials over processes, each kept as a file when it is done: a study that was stopped goes on.
+
+A trial must depend on its arguments alone, so that the same study gives the same figures however it was cut up.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import bootstrap
+
+from drivers.errors import ConfigError
+
+Figures = dict[str, Any]
+Progress = Callable[[int, int], None]
+
+FIRST_SEED = 40_000_000
+"""Specimens and rigs of the experiments begin here: networks are trained, chosen and judged on others."""
+
+
+def run_trials(
+    trial: Callable[..., Figures],
+    arguments: Mapping[str, tuple[Any, ...]],
+    out: Path,
+    *,
+    workers: int,
+    progress: Progress,
+) -> dict[str, Figures]:
+    """Run ``trial(*arguments[name])`` for each name, and keep what it tells as ``out/NAME.json``.
+
+    Args:
+        trial: a function at the top of a module.
+        arguments: by name of the trial.
+        out: is made if it is missing; trials that are there already are not run again.
+        workers: processes.
+        progress: called with the trials done and their number.
+
+    Returns:
+        The figures of each trial, in the order of ``arguments``.
+
+    Raises:
+        ConfigError: a file in ``out`` is not one of ours.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    files = {name: out / f"{name}.json" for name in arguments}
+    missing = [name for name, file in files.items() if not file.exists()]
+    done = len(arguments) - len(missing)
+    progress(done, len(arguments))
+    with ProcessPoolExecutor(workers) as pool:
+        running = {pool.submit(trial, *arguments[name]): name for name in missing}
+        try:
+            for ended in as_completed(running):
+                file = files[running[ended]]
+                scratch = file.with_suffix(".new")
+                scratch.write_text(json.dumps(ended.result(), allow_nan=False), encoding="utf-8")
+                scratch.replace(file)
+                done += 1
+                progress(done, len(arguments))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return {name: _read(file) for name, file in files.items()}
+
+
+def _read(file: Path) -> Figures:
+    try:
+        figures = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ConfigError(f"{file}: is no trial: {error}; remove it, and the study runs it again") from None
+    if not isinstance(figures, dict):
+        raise ConfigError(
+            f"{file}: is no trial: found {type(figures).__name__}; remove it, and the study runs it again"
+        )
+    return figures
+
+
+def by_recipe(
+    trials: Mapping[str, Figures], recipes: Sequence[str], names: Sequence[str]
+) -> dict[str, tuple[Figures, list[Figures]]]:
+    """Of each recipe: ``trials``, how many ``failed``, each named RMSE with its interval; and those that succeeded."""
+    result: dict[str, tuple[Figures, list[Figures]]] = {}
+    for recipe in recipes:
+        mine = [trial for trial in trials.values() if trial["recipe"] == recipe]
+        good = [trial for trial in mine if trial["failed"] is None]
+        figures: Figures = {"trials": len(mine), "failed": len(mine) - len(good)}
+        for name in names if good else ():
+            value, low, high = rms_interval([trial[name] for trial in good])
+            figures |= {name: value, f"{name}_low": low, f"{name}_high": high}
+        result[recipe] = (figures, good)
+    return result
+
+
+def rms(values: npt.ArrayLike) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def rms_interval(per_trial_rms: npt.ArrayLike) -> tuple[float, float, float]:
+    """RMS over trials of equal size, and its 95 % interval over trials (bootstrap, percentile); equal for one trial."""
+    values = np.asarray(per_trial_rms, dtype=np.float64)
+    if len(values) < 2 or np.ptp(values) == 0.0:
+        return rms(values), rms(values), rms(values)
+    found = bootstrap((values**2,), np.mean, n_resamples=2000, method="percentile", rng=np.random.default_rng(0))
+    low, high = np.sqrt(found.confidence_interval)
+    return rms(values), float(low), float(high)

@@ -1,0 +1,75 @@
+"""Studies: they go on where they stopped, and their intervals cover."""
+
+import json
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigError
+from studies.trials import rms_interval, run_trials
+
+CALLS = "calls"
+
+
+def trial(folder, number):
+    """Leaves a mark for each time it is run."""
+    with (folder / f"{CALLS}-{number}").open("a") as file:
+        file.write("x")
+    return {"square": number**2}
+
+
+def arguments(folder, numbers=(1, 2, 3)):
+    return {f"trial-{number}": (folder, number) for number in numbers}
+
+
+def silent(done, total):
+    pass
+
+
+def test_a_study_goes_on_and_runs_nothing_twice(tmp_path):
+    out = tmp_path / "out"
+    run_trials(trial, arguments(tmp_path, (1, 2)), out, workers=2, progress=silent)
+    told = []
+    found = run_trials(trial, arguments(tmp_path), out, workers=2, progress=lambda *step: told.append(step))
+    assert found == {"trial-1": {"square": 1}, "trial-2": {"square": 4}, "trial-3": {"square": 9}}
+    assert told == [(2, 3), (3, 3)]
+    assert [len((tmp_path / f"{CALLS}-{number}").read_text()) for number in (1, 2, 3)] == [1, 1, 1]
+
+
+def test_a_failure_keeps_what_is_done_and_leaves_nothing_half_written(tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(TypeError):
+        run_trials(trial, {**arguments(tmp_path, (1,)), "wrong": (tmp_path, "x")}, out, workers=1, progress=silent)
+    assert sorted(file.name for file in out.iterdir()) == ["trial-1.json"]
+
+
+@pytest.mark.parametrize("text", ["{", "[1]"])
+def test_a_damaged_trial_is_named(text, tmp_path):
+    (tmp_path / "trial-1.json").write_text(text)
+    with pytest.raises(ConfigError, match=r"trial-1\.json: is no trial"):
+        run_trials(trial, arguments(tmp_path, (1,)), tmp_path, workers=1, progress=silent)
+
+
+def test_what_json_cannot_hold_is_not_written(tmp_path):
+    with pytest.raises(ValueError, match="JSON"):
+        run_trials(not_a_number, {"one": ()}, tmp_path, workers=1, progress=silent)
+    assert not any(tmp_path.iterdir())
+
+
+def not_a_number():
+    return {"rmse_mm": float("nan")}
+
+
+def test_the_interval_covers_the_true_rms_about_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    covered = 0
+    for _ in range(100):
+        value, low, high = rms_interval(rng.uniform(0.5, 1.5, 30))
+        assert low <= value <= high
+        covered += low <= np.sqrt(13 / 12) <= high
+    assert 85 <= covered <= 100
+
+
+def test_one_trial_has_no_interval():
+    assert rms_interval([0.3]) == (pytest.approx(0.3),) * 3
+    assert json.dumps(rms_interval([0.3, 0.3]))
