@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -68,11 +69,14 @@ def _study(
     from rich.table import Table
 
     from studies.trials import run_trials
+    from vision.runtime import WEIGHTS, read_manifest
 
+    stamp = {"micromill": version("micromill"), "tip.onnx": read_manifest(WEIGHTS)["tip.onnx"]["sha256"]}
     with progress_bars() as bars:
-        trials = run_trials(trial, arguments, out, workers=workers, progress=counter(bars, name))
+        counted = counter(bars, name)
+        trials = run_trials(trial, arguments, out, workers=workers, progress=counted, stamp=stamp)
     recipes = summary(trials)
-    table = Table(title=f"{name}, on the virtual bench")
+    table = Table(title=f"{name}, on the virtual bench; RMSE over the trials that succeeded")
     for heading in ("figure", *recipes):
         table.add_column(heading, overflow="fold")
     for figure in dict.fromkeys(figure for figures in recipes.values() for figure in figures):

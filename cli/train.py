@@ -12,6 +12,7 @@ from rich.table import Table
 from cli.bars import counter, progress_bars
 from cli.options import json_option
 from cli.output import write_json
+from drivers.errors import ConfigError
 
 LOG_STEPS = 250
 """Where nobody watches a bar, a line is printed this often."""
@@ -29,8 +30,8 @@ seed_option = click.option("--seed", type=click.IntRange(0), default=0, show_def
     "--data",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Folder of the pictures: train, validation and test in it. What is missing is rendered, and kept. "
-    "[default: a folder beside --out]",
+    help="A data set, as `mill dataset` makes them, or a folder of photographs with keypoints.csv. "
+    "[default: pictures rendered into a folder beside --out]",
 )
 @click.option("--recipe", type=click.Choice(["default", "paper"]), default="default", show_default=True)
 @seed_option
@@ -38,14 +39,14 @@ seed_option = click.option("--seed", type=click.IntRange(0), default=0, show_def
     "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, metavar="FILE", help="ONNX file."
 )
 def train(task: str, data: Path | None, recipe: str, seed: int, out: Path) -> None:
-    """Train a network on rendered pictures, and write it with its hash and its held-out figures.
+    """Train a network on rendered pictures or on photographs; write it with its hash and its held-out figures.
 
     TASK is tip, landmarks or completion.
 
     Training resumes where it was killed: from FILE.checkpoint, which is removed at the end.
     """
     from cli.reports.train_report import write_train_report
-    from studies.datasets import SPLITS, ensure
+    from studies.datasets import SPLITS, ensure, read_card
     from studies.photographs import ensure_in, holds_photographs
     from vision.runtime import Network
     from vision.samples import load_data
@@ -55,14 +56,20 @@ def train(task: str, data: Path | None, recipe: str, seed: int, out: Path) -> No
 
     learned = task_named(task, recipe)
     settings = learned.recipes[recipe]
+    if data and not holds_photographs(data) and not all((data / split).is_dir() for split in SPLITS):
+        raise ConfigError(
+            f"{data}: neither a data set (folders {', '.join(SPLITS)}) nor photographs (keypoints.csv); make one with "
+            "`mill dataset`, or leave --data out"
+        )
     out.parent.mkdir(parents=True, exist_ok=True)
     folder = data if data and not holds_photographs(data) else out.with_suffix(".data")
     console = Console(stderr=True)
     with progress_bars(console) as progress:
-        if data and folder != data:
+        if data is None:
+            for split in SPLITS:
+                ensure(task, split, folder, seed=seed, progress=counter(progress, f"{split} specimens"))
+        elif folder != data:
             ensure_in(data, folder, task, progress=counter(progress, "photographs"))
-        for split in SPLITS:
-            ensure(task, split, folder, seed=seed, progress=counter(progress, f"{split} pictures"))
         parts = {split: load_data(folder, split, task, learned.arrays) for split in SPLITS}
         steps = settings.steps_for(len(next(iter(parts["train"].values()))))
         bar = progress.add_task("training", total=steps)
@@ -83,10 +90,10 @@ def train(task: str, data: Path | None, recipe: str, seed: int, out: Path) -> No
             progress=step,
         )
     trained = {"task": task, "recipe": recipe, "seed": seed, "steps": len(history.losses)}
-    about = {**trained, "version": version("micromill")}
+    about = {**trained, "version": version("micromill"), "data": read_card(folder).get("splits", {})}
     figures = finish(learned, network, out, parts["validation"], parts["test"], about)
     checkpoint.unlink(missing_ok=True)
-    console.print(_table(f"{out}, on held-out specimens and rigs", figures))
+    console.print(_table(f"{out}, on the test pictures of {folder}", figures))
     worst = learned.worst(Network(out), parts["test"], WORST)
     write_train_report(out.with_suffix(".html"), f"{task} network", about, figures, history, worst)
     console.print(f"report: {out.with_suffix('.html')}")
@@ -133,17 +140,20 @@ def evaluate(
         raise click.UsageError("--data and --specimens exclude each other; give one")
     network = Network(weights or WEIGHTS / f"{task}.onnx", task)
     learned = task_named(task)
+    photographs = data is not None and holds_photographs(data)
+    if data and photographs:
+        _require_unseen(network.path, data)
     console = Console(stderr=True)
     started_s = time.monotonic()
     with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch) if data is None or holds_photographs(data) else data
+        folder = Path(scratch) / "set" if data is None or photographs else data
         with progress_bars(console) as progress:
-            if data and folder != data:
+            if data and photographs:
                 bring_in(data, folder, task, only="test", progress=counter(progress, "photographs"))
             if data is None:
                 ensure(task, "test", folder, seed=seed, specimens=specimens, progress=counter(progress, "specimens"))
         figures = learned.judge(network, load_data(folder, "test", task, learned.arrays))
-    console.print(_table(f"{network.path.name}, on held-out specimens and rigs", figures))
+    console.print(_table(f"{network.path.name}, on {data or 'specimens and rigs that training never saw'}", figures))
     if json_file:
         write_json(
             json_file,
@@ -152,6 +162,19 @@ def evaluate(
             weights_sha256=network.sha256,
             duration_s=time.monotonic() - started_s,
             **{name: value if math.isfinite(value) else None for name, value in figures.items()},
+        )
+
+
+def _require_unseen(weights: Path, album: Path) -> None:
+    """Weights are not measured on what they learnt from."""
+    from studies.photographs import digest
+    from vision.runtime import read_manifest
+
+    learnt = read_manifest(weights.parent).get(weights.name, {}).get("data", {}).get("train", {})
+    if learnt.get("table_sha256") == digest(album):
+        raise ConfigError(
+            f"{album}: {weights} learnt from these photographs; measure on others, or on those that were kept for "
+            f"judging: --data {weights.with_suffix('.data')}"
         )
 
 

@@ -61,30 +61,46 @@ def ensure(
         specimens: a folder of specimen files to use in place of drawn ones.
         progress: called with the specimens done and their number.
     """
+    origin: dict[str, object] = {"source": "renderings", "seed": seed}
+    if specimens is None:
+        origin["first_specimen_seed"] = SPLITS[split].seed_of(0, seed)
+    else:
+        origin["source"] = f"renderings of {specimens.name}"
+    _require_same(folder, task, split, origin)
     final = folder / split
     if final.is_dir():
         return
     worlds = _drawn(task, split, seed) if specimens is None else _read(specimens)
     draft = folder / f"{split}.part"
     draft.mkdir(parents=True, exist_ok=True)
-    marker = draft / "specimens_done"
-    done = int(marker.read_text()) if marker.is_file() else 0
-    for index in range(done, len(worlds)):
+    marker = draft / "specimens_done.json"
+    begun: dict[str, Any] = (
+        json.loads(marker.read_text()) if marker.is_file() else {"task": task, "origin": origin, "done": 0}
+    )
+    if (begun["task"], begun["origin"]) != (task, origin):
+        raise ConfigError(f"{draft}: is of {begun['task']}, {begun['origin']}; remove it, or ask for the same again")
+    for index in range(begun["done"], len(worlds)):
         specimen = worlds[index]()
         samples = list(_SAMPLES[task](specimen, np.random.default_rng((SPLITS[split].first, seed, index))))
         for name in samples[0]:
             values = np.stack([sample[name] for sample in samples])
             _store(draft / f"{name}.npy", values, index, len(worlds))
-        marker.write_text(str(index + 1))
+        marker.write_text(json.dumps({**begun, "done": index + 1}))
         progress(index + 1, len(worlds))
     marker.unlink(missing_ok=True)
     shutil.move(draft, final)
-    origin = (
-        {"source": "renderings", "seed": seed, "first_specimen_seed": SPLITS[split].seed_of(0, seed)}
-        if specimens is None
-        else {"source": "renderings of specimen files", "seed": seed}
-    )
-    write_card(folder, task, split, specimens=len(worlds), samples=_count(final), **origin)
+    write_card(folder, task, split, **origin, specimens=len(worlds), samples=_count(final))
+
+
+def _require_same(folder: Path, task: str, split: str, origin: dict[str, object]) -> None:
+    """What is in ``folder`` already is what is asked for, as far as its card tells."""
+    card = read_card(folder)
+    found = card.get("splits", {}).get(split, origin)
+    if card.get("task", task) != task or any(found.get(key) != value for key, value in origin.items()):
+        raise ConfigError(
+            f"{folder}: holds {card['task']}, {split} from {found.get('source')}, seed {found.get('seed')}; "
+            f"{task} from {origin['source']}, seed {origin['seed']} is asked for; remove it, or name another folder"
+        )
 
 
 def write_card(folder: Path, task: str, split: str, **about: object) -> None:

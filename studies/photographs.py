@@ -3,7 +3,7 @@
 import csv
 import math
 import re
-import shutil
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from drivers.errors import ConfigError
 from studies.datasets import read_card, write_card
-from vision.keypoints import letterboxed
+from vision.keypoints import PICTURE_PX, letterboxed
 from vision.runtime import Image, sha256_of
 
 TABLE = "keypoints.csv"
@@ -41,8 +41,12 @@ def holds_photographs(folder: Path) -> bool:
     return (folder / TABLE).is_file()
 
 
-def read_table(folder: Path) -> tuple[str, list[Photograph]]:
+def read_table(folder: Path, wanted: str | None = None) -> tuple[str, list[Photograph]]:
     """The task that the table's columns serve, and its rows in the order of the picture's numbers.
+
+    Args:
+        folder: has ``keypoints.csv`` and ``images/``.
+        wanted: the task that the photographs are for; the first that the columns serve if None.
 
     Raises:
         ConfigError: names the file, the row and what is wrong with it.
@@ -55,21 +59,23 @@ def read_table(folder: Path) -> tuple[str, list[Photograph]]:
     rows = csv.DictReader(text.splitlines())
     columns = set(rows.fieldnames or ())
     tasks = {task: {f"{name}_{axis}_px" for name in names for axis in "xy"} for task, names in NAMES.items()}
-    fitting = [task for task, wanted in tasks.items() if {"image", *wanted} <= columns]
+    fitting = [task for task, needed in tasks.items() if {"image", *needed} <= columns]
     if not fitting:
-        wanted = " or ".join(",".join(["image", *sorted(columns)]) for columns in tasks.values())
-        raise ConfigError(f"{table}: found columns {','.join(sorted(columns)) or 'none'}; allowed: {wanted}")
-    task = fitting[0]
+        allowed = " or ".join(",".join(["image", *sorted(needed)]) for needed in tasks.values())
+        raise ConfigError(f"{table}: found columns {','.join(sorted(columns)) or 'none'}; allowed: {allowed}")
+    if wanted and wanted not in fitting:
+        raise ConfigError(f"{table}: has the points of {fitting[0]}; those of {wanted} are needed")
+    task = wanted or fitting[0]
     photographs, seen = [], set()
     for number, row in enumerate(rows, start=2):
-        name = row["image"] or ""
-        if name in seen:
-            raise ConfigError(f"{table}, line {number}: {name} stands twice; remove one of the rows")
-        seen.add(name)
-        photographs.append(_photograph(folder, table, number, row, NAMES[task]))
+        photograph = _photograph(folder, table, number, row, NAMES[task])
+        if photograph.file.resolve() in seen:
+            raise ConfigError(f"{table}, line {number}: {row['image']} stands twice; remove one of the rows")
+        seen.add(photograph.file.resolve())
+        photographs.append(photograph)
     if not photographs:
         raise ConfigError(f"{table}: found no rows; one per picture is needed")
-    return task, sorted(photographs, key=lambda photograph: _natural(photograph.file.name))
+    return task, sorted(photographs, key=lambda photograph: _natural(_name(folder, photograph)))
 
 
 def bring_in(
@@ -80,11 +86,11 @@ def bring_in(
     only: str | None = None,
     progress: Callable[[int, int], None],
 ) -> tuple[str, dict[str, int]]:
-    """Write the photographs of ``folder`` as a data set into ``out``.
+    """Make the photographs of ``folder`` into the data set ``out``, whole or not at all.
 
     Args:
         folder: has ``keypoints.csv`` and ``images/``.
-        out: receives ``train``, ``validation`` and ``test``; it must not have them yet.
+        out: must not be there yet, or be empty.
         wanted: the task that the photographs are for; any if None.
         only: put every photograph into this split.
         progress: called with the photographs done and their number.
@@ -93,41 +99,33 @@ def bring_in(
         The task, and how many photographs went where.
 
     Raises:
-        ConfigError: the first thing that is wrong; nothing is left in ``out`` then.
+        ConfigError: the first thing that is wrong; ``out`` stays as it was.
     """
-    task, photographs = read_table(folder)
-    if wanted and wanted != task:
-        raise ConfigError(f"{folder / TABLE}: has the points of {task}; those of {wanted} are needed")
+    task, photographs = read_table(folder, wanted)
     parts = {only: photographs} if only else _blocks(folder, photographs)
-    for split in parts:
-        if (out / split).exists():
-            raise ConfigError(f"{out / split}: is there already; name another folder, or remove it")
+    if out.is_dir() and any(out.iterdir()):
+        raise ConfigError(f"{out}: is there already; name another folder, or remove it")
+    out.parent.mkdir(parents=True, exist_ok=True)
     done = 0
-    drafts = []
-    try:
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
+        draft = Path(scratch) / "set"
         for split, members in parts.items():
-            draft = out / f"{split}.part"
-            drafts.append(draft)
-            draft.mkdir(parents=True, exist_ok=True)
-            pictures, points = [], []
-            for member in members:
-                picture, scale, corner = letterboxed(_read(member))
-                pictures.append(picture)
+            (draft / split).mkdir(parents=True)
+            shape = (len(members), PICTURE_PX[1], PICTURE_PX[0], 3)
+            pictures = np.lib.format.open_memmap(draft / split / "pictures.npy", "w+", np.uint8, shape)
+            points = []
+            for index, member in enumerate(members):
+                pictures[index], scale, corner = letterboxed(_read(member))
                 points.append(member.points_px * scale + corner)
                 done += 1
                 progress(done, len(photographs))
-            np.save(draft / "pictures.npy", np.stack(pictures))
-            np.save(draft / "points.npy", np.stack(points))
-            np.save(draft / "visible.npy", np.isfinite(points).all(axis=2))
-        for split, draft in zip(parts, drafts, strict=True):
-            draft.rename(out / split)
-            names = [member.file.name for member in parts[split]]
-            about = {"source": "photographs", "table_sha256": _digest(folder)}
-            write_card(out, task, split, **about, samples=len(names), first=names[0], last=names[-1])
-    except BaseException:
-        for draft in drafts:
-            shutil.rmtree(draft, ignore_errors=True)
-        raise
+            pictures.flush()
+            np.save(draft / split / "points.npy", np.stack(points))
+            np.save(draft / split / "visible.npy", np.isfinite(points).all(axis=2))
+            about = {"source": "photographs", "table_sha256": digest(folder), "samples": len(members)}
+            ends = {"first": _name(folder, members[0]), "last": _name(folder, members[-1])}
+            write_card(draft, task, split, **about, **ends)
+        draft.rename(out)
     return task, {split: len(members) for split, members in parts.items()}
 
 
@@ -138,15 +136,21 @@ def ensure_in(folder: Path, out: Path, task: str, *, progress: Callable[[int, in
         ConfigError: as ``bring_in``; or ``out`` holds something else.
     """
     if out.is_dir() and any(out.iterdir()):
-        known = [split.get("table_sha256") for split in read_card(out).get("splits", {}).values()]
-        if not known or any(digest != _digest(folder) for digest in known):
+        card = read_card(out)
+        known = {split: about.get("table_sha256") for split, about in card.get("splits", {}).items()}
+        if card.get("task") != task or known != dict.fromkeys(("train", *SHARES), digest(folder)):
             raise ConfigError(f"{out}: holds another data set than {folder}; remove it, or name another --out")
         return
     bring_in(folder, out, task, progress=progress)
 
 
-def _digest(folder: Path) -> str:
+def digest(folder: Path) -> str:
+    """Of the table: tells whether two sets are of the same photographs."""
     return sha256_of(folder / TABLE)
+
+
+def _name(folder: Path, photograph: Photograph) -> str:
+    return photograph.file.relative_to(folder / IMAGES).as_posix()
 
 
 def _photograph(

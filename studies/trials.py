@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,7 @@ def run_trials(
     *,
     workers: int,
     progress: Progress,
+    stamp: Mapping[str, str] | None = None,
 ) -> dict[str, Figures]:
     """Run ``trial(*arguments[name])`` for each name, and keep what it tells as ``out/NAME.json``.
 
@@ -38,16 +39,21 @@ def run_trials(
         out: is made if it is missing; trials that are there already are not run again.
         workers: processes.
         progress: called with the trials done and their number.
+        stamp: what made the figures, such as versions and weights; a trial of another make is refused.
 
     Returns:
         The figures of each trial, in the order of ``arguments``.
 
     Raises:
-        ConfigError: a file in ``out`` is not one of ours.
+        ConfigError: a file in ``out`` is not one of ours, or of another make.
     """
+    made_by = dict(stamp or {})
     out.mkdir(parents=True, exist_ok=True)
     files = {name: out / f"{name}.json" for name in arguments}
     missing = [name for name, file in files.items() if not file.exists()]
+    for name, file in files.items():
+        if name not in missing:
+            _read(file, made_by)
     done = len(arguments) - len(missing)
     progress(done, len(arguments))
     with ProcessPoolExecutor(workers) as pool:
@@ -56,26 +62,28 @@ def run_trials(
             for ended in as_completed(running):
                 file = files[running[ended]]
                 scratch = file.with_suffix(".new")
-                scratch.write_text(json.dumps(ended.result(), allow_nan=False), encoding="utf-8")
+                scratch.write_text(
+                    json.dumps({"made_by": made_by, **ended.result()}, allow_nan=False), encoding="utf-8"
+                )
                 scratch.replace(file)
                 done += 1
                 progress(done, len(arguments))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-    return {name: _read(file) for name, file in files.items()}
+    return {name: _read(file, made_by) for name, file in files.items()}
 
 
-def _read(file: Path) -> Figures:
+def _read(file: Path, made_by: dict[str, str]) -> Figures:
+    remedy = "remove it, and the study runs it again"
     try:
         figures = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise ConfigError(f"{file}: is no trial: {error}; remove it, and the study runs it again") from None
-    if not isinstance(figures, dict):
-        raise ConfigError(
-            f"{file}: is no trial: found {type(figures).__name__}; remove it, and the study runs it again"
-        )
-    return figures
+        raise ConfigError(f"{file}: is no trial: {error}; {remedy}") from None
+    found = figures.pop("made_by", None) if isinstance(figures, dict) else None
+    if found != made_by:
+        raise ConfigError(f"{file}: was made by {found}, not by {made_by}; {remedy}, or name another --out")
+    return cast(Figures, figures)
 
 
 def by_recipe(

@@ -17,6 +17,8 @@ from vision.runtime import Image, Network
 from vision.samples import Arrays, Data, relit
 from vision.training import Batch, Recipe, Worst
 
+Found = tuple[Keypoint, npt.NDArray[Any], bool]
+
 CROPS_PER_PICTURE = 3
 COARSE_SIGMA_CELLS = 0.7
 FINE_SIGMA_CELLS = 1.2
@@ -117,8 +119,11 @@ class KeypointTask:
 
     def judge(self, network: Network, data: Data) -> dict[str, float]:
         """RMSE over what was found, worst case, what was missed and what was invented."""
+        return self.figures_of(self._found(network, data))
+
+    def figures_of(self, found: list[Found]) -> dict[str, float]:
+        """The figures of all pictures' points in turn, each with its true place and whether it can be seen."""
         figures: dict[str, float] = {}
-        found = self._found(network, data)
         for k, name in enumerate(self.names):
             mine = found[k :: len(self.names)]
             errors = np.array([np.hypot(f.x_px - t[0], f.y_px - t[1]) for f, t, seen in mine if seen and f.visible])
@@ -135,7 +140,7 @@ class KeypointTask:
             )
             figures[f"{name}_missed"] = 1.0 - float(np.mean(there)) if there else 0.0
             figures[f"{name}_invented"] = float(np.mean(absent)) if absent else 0.0
-        figures["pictures"] = float(len(data["pictures"]))
+        figures["pictures"] = float(len(found) // len(self.names))
         return figures
 
     def worst(self, network: Network, data: Data, count: int) -> list[Worst]:
@@ -157,7 +162,7 @@ class KeypointTask:
             )
         return cases
 
-    def _found(self, network: Network, data: Data) -> list[tuple[Keypoint, npt.NDArray[Any], bool]]:
+    def _found(self, network: Network, data: Data) -> list[Found]:
         finder = self.finder(network)
         return [
             (found, data["points"][index][k], bool(data["visible"][index][k]))

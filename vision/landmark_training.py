@@ -9,7 +9,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from vision.keypoint_training import KeypointTask, as_input, close_loss, rough_loss
+from vision.keypoint_training import Found, KeypointTask, as_input, close_loss, rough_loss
 from vision.keypoints import BORDER, Finder, LandmarkFinder
 from vision.landmark_network import SPAN_PX, VIEW_PX, WINDOW_CELLS, LandmarkNet, view_frames
 from vision.networks import CELL_PX, COARSE, PICTURE_PX
@@ -78,13 +78,12 @@ class LandmarkTask(KeypointTask):
         cells = ((batch["targets"] - 0.5) / CELL_PX).flatten(0, 1)
         return rough + close_loss(maps, cells, batch["present"].flatten(), WINDOW_CELLS)
 
-    def judge(self, network: Network, data: Data) -> dict[str, float]:
+    def figures_of(self, found: list[Found]) -> dict[str, float]:
         """As of every keypoint; and in mm, along the midline and across it, where both landmarks were found."""
-        figures = super().judge(network, data)
-        pairs = self._found(network, data)
+        figures = super().figures_of(found)
         errors = []
         swapped = 0
-        for (bregma, at_bregma, _), (lambda_, at_lambda, _) in zip(pairs[::2], pairs[1::2], strict=True):
+        for (bregma, at_bregma, _), (lambda_, at_lambda, _) in zip(found[::2], found[1::2], strict=True):
             if not (bregma.visible and lambda_.visible and np.isfinite([at_bregma, at_lambda]).all()):
                 continue
             span = at_lambda - at_bregma

@@ -21,7 +21,7 @@ from vision.keypoints import BORDER, Finder, LandmarkFinder, TipFinder
 from vision.networks import CELL_PX, CROP_PX, PICTURE_PX, UNet, normalized
 from vision.runtime import Image, Network
 from vision.samples import Data, relit
-from vision.training import Batch, Recipe
+from vision.training import CHECKS, Batch, Recipe
 
 MAP_SIGMA_PX = 5.0
 WIDTHS = (64, 128, 256, 512, 1024)
@@ -66,7 +66,7 @@ class PaperTask(KeypointTask):
     def __init__(self, name: str, names: tuple[str, ...], *, widths: tuple[int, ...] = WIDTHS) -> None:
         super().__init__(name, names, steps=0)
         self.recipes: Mapping[str, Recipe] = {
-            "paper": Recipe(epochs=30, batch=4, learning_rate=1e-3, plan="three-rates")
+            "paper": Recipe(epochs=30, batch=4, learning_rate=1e-3, plan="three-rates", patience=CHECKS)
         }
         self._widths = widths
 

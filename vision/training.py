@@ -4,6 +4,7 @@ Each step draws its batch from the seed and its own number, so a killed training
 where the uninterrupted one would have ended.
 """
 
+import hashlib
 import math
 import pickle
 import tempfile
@@ -31,8 +32,7 @@ CHECKPOINT_STEPS = 100
 CHECKS = 20
 """How often a training is judged on validation data."""
 CHECK_BATCHES = 6
-PATIENCE = 8
-"""A training ends once so many checks have brought nothing better."""
+DIGEST_BYTES = 1 << 24
 PARITY = 2e-3
 """Largest difference allowed between torch and the exported file."""
 
@@ -48,6 +48,9 @@ class Recipe:
     """In place of ``steps``: how often each sample is drawn."""
     plan: Literal["one-cycle", "three-rates"] = "one-cycle"
     """AdamW with a warm-up and a long decay; or Adam at the rate, a tenth and a hundredth of it, a third each."""
+
+    patience: int = 8
+    """A training ends once so many of its ``CHECKS`` have brought nothing better."""
 
     def steps_for(self, samples: int) -> int:
         """How many steps a training on so many samples takes."""
@@ -108,7 +111,7 @@ def train(
     """Train a network, resuming from ``checkpoint`` where one of the same task, recipe, seed and data is found.
 
     It is judged ``CHECKS`` times on the way by its loss on ``validation``; the best of them is what comes back, and the
-    training ends early once the best is ``PATIENCE`` checks old.
+    training ends early once the best is ``patience`` checks old.
 
     Returns:
         The network, and the losses on the way.
@@ -122,7 +125,8 @@ def train(
     network = task.network().train().to(device)
     steps = recipe.steps_for(len(next(iter(data.values()))))
     optimizer, schedule = _plan(network, recipe, steps)
-    identity = {"task": task.name, "seed": seed, **asdict(recipe), "steps": steps, "samples": _samples(data)}
+    identity = {"task": task.name, "seed": seed, **asdict(recipe), "steps": steps}
+    identity["data"] = [_digest(part) for part in (data, validation)]
     state: dict[str, Any] = {"step": 0, "best": None, "losses": [], "checks": []}
     if checkpoint.is_file():
         state = _resumed(checkpoint, identity)
@@ -143,11 +147,7 @@ def train(
             coming = maker.submit(drawn, step + 1)
             with torch.autocast(device, dtype=torch.bfloat16):
                 loss = task.loss(network, batch)
-            if not torch.isfinite(loss):
-                raise ConfigError(
-                    f"the loss of {task.name} is not a number at step {step + 1}; look through the data, or use "
-                    f"another --seed; nothing was written but {checkpoint}"
-                )
+            _require_finite(loss.item(), task.name, step + 1, checkpoint)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(network.parameters(), 5.0)
@@ -159,9 +159,10 @@ def train(
             if (step + 1) % every == 0 or step + 1 == steps:
                 check = _held_out_loss(task, network, held_out, device)
                 state["checks"].append((step + 1, check))
+                _require_finite(check, f"{task.name} on validation data", step + 1, checkpoint)
                 if check <= min(value for _, value in state["checks"]):
                     state["best"] = {name: value.detach().clone() for name, value in network.state_dict().items()}
-                if _stale(state["checks"]):
+                if _stale(state["checks"], recipe.patience):
                     break
             if (step + 1) % CHECKPOINT_STEPS == 0:
                 _save(checkpoint, identity, state, network, optimizer, schedule)
@@ -169,18 +170,32 @@ def train(
     return network.cpu().eval(), History(tuple(state["losses"]), tuple(tuple(check) for check in state["checks"]))
 
 
-def _samples(data: Data) -> int:
-    return len(next(iter(data.values())))
+def _require_finite(loss: float, what: str, step: int, checkpoint: Path) -> None:
+    if not math.isfinite(loss):
+        raise ConfigError(
+            f"the loss of {what} is not a number at step {step}; look through the data, or use another --seed; "
+            f"nothing was written but {checkpoint}"
+        )
+
+
+def _digest(data: Data) -> str:
+    """Of the labels and of all shapes: pictures are too many to be read for it."""
+    found = hashlib.sha256()
+    for name, values in sorted(data.items()):
+        found.update(f"{name} {values.shape}".encode())
+        if values.nbytes <= DIGEST_BYTES:
+            found.update(np.ascontiguousarray(values).tobytes())
+    return found.hexdigest()
 
 
 def _on(device: str, batch: Batch) -> Batch:
     return {name: value.to(device) for name, value in batch.items()}
 
 
-def _stale(checks: list[tuple[int, float]]) -> bool:
-    """Whether the best check is ``PATIENCE`` old."""
+def _stale(checks: list[tuple[int, float]], patience: int) -> bool:
+    """Whether the best check is ``patience`` old."""
     values = [value for _, value in checks]
-    return len(values) - 1 - values.index(min(values)) >= PATIENCE
+    return len(values) - 1 - values.index(min(values)) >= patience
 
 
 def _held_out_loss(task: Task, network: nn.Module, batches: list[Batch], device: str) -> float:
@@ -193,7 +208,7 @@ def _held_out_loss(task: Task, network: nn.Module, batches: list[Batch], device:
 
 def _resumed(checkpoint: Path, identity: dict[str, Any]) -> dict[str, Any]:
     try:
-        saved: dict[str, Any] = torch.load(checkpoint, weights_only=True)
+        saved: dict[str, Any] = torch.load(checkpoint, map_location="cpu", weights_only=True)
         found = saved["identity"]
     except (OSError, RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError):
         raise ConfigError(f"{checkpoint}: is no checkpoint of a training; delete it to start anew") from None

@@ -9,6 +9,7 @@ import pytest
 from mill_command import mill
 
 from studies.datasets import SPLITS
+from vision.training import Recipe
 
 
 @pytest.fixture(autouse=True)
@@ -78,3 +79,29 @@ def test_training_data_of_other_photographs_is_not_taken_for_these(capsys: pytes
     Path("x.data/card.json").write_text('{"task": "landmarks", "splits": {"train": {"source": "renderings"}}}')
     assert mill("train", "landmarks", "--data", "album", "--out", "x.onnx") == 2
     assert "x.data: holds another data set than album" in capsys.readouterr().err
+
+
+def test_photographs_teach_and_are_not_judged_on_themselves(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(Recipe, "steps_for", lambda recipe, samples: 2)
+    album(Path("album"))
+    assert mill("train", "landmarks", "--data", "album", "--out", "w/landmarks.onnx") == 0
+    manifest = json.loads(Path("w/manifest.json").read_text())["landmarks.onnx"]
+    assert manifest["data"]["train"]["samples"] == 10
+    assert Path("w/landmarks.html").is_file()
+    capsys.readouterr()
+    assert mill("evaluate", "landmarks", "--data", "album", "--weights", "w/landmarks.onnx") == 2
+    assert "learnt from these photographs" in capsys.readouterr().err
+    assert mill("evaluate", "landmarks", "--data", "w/landmarks.data", "--weights", "w/landmarks.onnx") == 0
+    assert mill("train", "landmarks", "--out", "w/landmarks.onnx") == 2
+    assert "holds landmarks, train from photographs" in capsys.readouterr().err
+
+
+def test_a_folder_that_is_no_data_set_is_not_rendered_into(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("missing", "empty"):
+        if name == "empty":
+            Path(name).mkdir()
+        assert mill("train", "landmarks", "--data", name, "--out", "x.onnx") == 2
+        assert f"{name}: neither a data set" in capsys.readouterr().err
+    assert [path.name for path in Path().iterdir()] == ["empty"]

@@ -50,11 +50,15 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 
 
 def short_job(bench: ServedBench) -> Path:
-    """The rig file of a bench with a short job, and with devices that are patient with a busy machine."""
+    """The rig file of a bench with a ring of few points, which is soon under way; it need not end complete."""
+    return patient(bench, "short.toml", "\n[job]\nn_points = 8\n")
+
+
+def patient(bench: ServedBench, name: str, job: str = "") -> Path:
+    """The rig file of a bench whose devices are patient with a busy machine."""
     text = bench.rig_file.read_text().replace("node_id", "heartbeat_s = 1.0\nnode_id")
-    text = text.replace("origin_mm", "reply_s = 1.0\norigin_mm")
-    path = bench.rig_file.with_name("short.toml")
-    path.write_text(f"{text}\n[job]\nn_points = 8\n")
+    path = bench.rig_file.with_name(name)
+    path.write_text(text.replace("origin_mm", "reply_s = 1.0\norigin_mm") + job)
     return path
 
 
@@ -149,7 +153,7 @@ def test_a_bench_that_vanishes_ends_the_run(rig: Rig, tmp_path: Path, manner: st
 @pytest.mark.long
 def test_a_window_is_milled_from_another_terminal(rig: Rig, tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    with started("run", *run_words(rig.rig_file, rig.calibration, folder)) as run:
+    with started("run", *run_words(patient(rig.bench, "whole.toml"), rig.calibration, folder)) as run:
         code = run.end(WINDOW_S)
     assert (code, run.err) == (0, ""), run.said
     _, result = whole_record(folder, run.said)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigError
-from studies.photographs import bring_in
+from studies.photographs import bring_in, ensure_in
 from vision.keypoints import letterboxed
 from vision.samples import load_data
 from vision.tasks import task_named
@@ -85,7 +85,7 @@ def test_what_is_wrong_is_named_and_nothing_is_left(break_it, says, tmp_path):
     break_it(folder)
     with pytest.raises(ConfigError, match=says):
         bring_in(folder, tmp_path / "out", progress=silent)
-    assert not any(tmp_path.glob("out/*"))
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 def rewrite(folder, index, row):
@@ -93,6 +93,50 @@ def rewrite(folder, index, row):
     lines = table.read_text().splitlines()
     lines[index + 1] = row
     table.write_text("\n".join(lines))
+
+
+def test_a_killed_import_leaves_nothing_and_starts_anew(tmp_path):
+    folder = album(tmp_path / "a")
+
+    def kill(done, total):
+        if done == 18:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        ensure_in(folder, tmp_path / "out", "landmarks", progress=kill)
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    ensure_in(folder, tmp_path / "out", "landmarks", progress=silent)
+    ensure_in(folder, tmp_path / "out", "landmarks", progress=kill)
+    rewrite(folder, 3, "3.png,51,20,50,80")
+    with pytest.raises(ConfigError, match="holds another data set"):
+        ensure_in(folder, tmp_path / "out", "landmarks", progress=silent)
+
+
+def test_animals_in_folders_of_their_own_stay_together(tmp_path):
+    folder = album(tmp_path / "a")
+    table = folder / "keypoints.csv"
+    for mouse in ("m1", "m2"):
+        (folder / "images" / mouse).mkdir()
+    rows = [HEADER]
+    for number in range(20):
+        name = f"m{1 + number % 2}/{number // 2}.png"
+        (folder / f"images/{number}.png").rename(folder / "images" / name)
+        rows.append(f"{name},50,20,50,80")
+    table.write_text("\n".join(rows))
+    bring_in(folder, tmp_path / "out", progress=silent)
+    splits = json.loads((tmp_path / "out/card.json").read_text())["splits"]
+    assert (splits["train"]["first"], splits["train"]["last"]) == ("m1/0.png", "m2/5.png")
+    assert splits["test"]["first"] == "m2/8.png"
+    table.write_text(table.read_text() + "\n./m1/0.png,50,20,50,80")
+    with pytest.raises(ConfigError, match="stands twice"):
+        bring_in(folder, tmp_path / "other", progress=silent)
+
+
+def test_a_table_of_everything_serves_both(tmp_path):
+    header = "image,bregma_x_px,bregma_y_px,lambda_x_px,lambda_y_px,tip_x_px,tip_y_px"
+    folder = album(tmp_path / "a", header=header, row="#.png,50,20,50,80,10,10")
+    assert bring_in(folder, tmp_path / "tips", "tip", progress=silent)[0] == "tip"
+    assert bring_in(folder, tmp_path / "marks", "landmarks", progress=silent)[0] == "landmarks"
 
 
 def test_a_data_set_that_is_there_is_kept(tmp_path):

@@ -43,10 +43,10 @@ def test_a_failure_keeps_what_is_done_and_leaves_nothing_half_written(tmp_path):
     assert sorted(file.name for file in out.iterdir()) == ["trial-1.json"]
 
 
-@pytest.mark.parametrize("text", ["{", "[1]"])
-def test_a_damaged_trial_is_named(text, tmp_path):
+@pytest.mark.parametrize("text", ["{", "[1]", "{}", '{"made_by": {"tip.onnx": "other"}}'])
+def test_a_damaged_trial_or_one_of_another_make_is_named(text, tmp_path):
     (tmp_path / "trial-1.json").write_text(text)
-    with pytest.raises(ConfigError, match=r"trial-1\.json: is no trial"):
+    with pytest.raises(ConfigError, match=r"trial-1\.json: (is no trial|was made by).*remove it"):
         run_trials(trial, arguments(tmp_path, (1,)), tmp_path, workers=1, progress=silent)
 
 

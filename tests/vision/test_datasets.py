@@ -81,3 +81,30 @@ def test_labels_of_a_ring_agree_with_its_completion():
 def test_an_eggshell_has_no_landmarks():
     for sample in landmark_samples(draw_specimen(5, kind="eggshell"), np.random.default_rng(3)):
         assert not sample["visible"].any()
+
+
+def test_a_folder_of_something_else_is_not_gone_on_with(tmp_path, monkeypatch):
+    for split in SPLITS.values():
+        monkeypatch.setitem(split.specimens, "tip", 2)
+        monkeypatch.setitem(split.specimens, "landmarks", 2)
+
+    def samples(specimen, rng):
+        yield {"points": np.zeros(2)}
+
+    class KilledError(Exception):
+        pass
+
+    def kill(done, total):
+        raise KilledError
+
+    for task in ("tip", "landmarks"):
+        monkeypatch.setitem(ensure.__globals__["_SAMPLES"], task, samples)
+    with pytest.raises(KilledError):
+        ensure("tip", "train", tmp_path, seed=4, progress=kill)
+    with pytest.raises(ConfigError, match=r"train\.part: is of tip"):
+        ensure("tip", "train", tmp_path, seed=5, progress=lambda done, total: None)
+    ensure("tip", "train", tmp_path, seed=4, progress=lambda done, total: None)
+    ensure("tip", "train", tmp_path, seed=4, progress=kill)
+    for task, split, seed in (("tip", "train", 5), ("landmarks", "train", 4), ("landmarks", "test", 4)):
+        with pytest.raises(ConfigError, match="holds tip"):
+            ensure(task, split, tmp_path, seed=seed, progress=kill)

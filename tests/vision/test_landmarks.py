@@ -77,19 +77,22 @@ def test_what_the_network_learns_from_says_where_the_points_went(seed):
     points = np.array([[430.0, 200.0], [450.0, 310.0]])
     picture = painted(*points)
     rng = np.random.default_rng(seed)
+    checked = 0
     for made, places, scale in ((*_view(picture, points, rng), 1.0), (*_turned(picture, points, rng), 0.25)):
         for k, sign in ((0, 1.0), (1, -1.0)):
             x, y = places[k] * scale + (scale - 1) / 2
             if not (EDGE_PX < x < made.shape[1] - EDGE_PX and EDGE_PX < y < made.shape[0] - EDGE_PX):
                 continue
+            checked += 1
             color = sign * (made[..., 0].astype(float) - made[..., 2])
             weight = np.where(color > 0.5 * max(color.max(), 1.0), color, 0.0)
             rows, columns = np.mgrid[: made.shape[0], : made.shape[1]]
             middle = (weight * columns).sum() / weight.sum(), (weight * rows).sum() / weight.sum()
             assert middle == pytest.approx((x, y), abs=1.2)
+    assert checked >= 2
 
 
-def test_figures_along_and_across_the_midline(monkeypatch):
+def test_figures_along_and_across_the_midline():
     """Bregma 8 px too far along a span of 84 px, lambda 4 px off to the side."""
     task = LandmarkTask()
 
@@ -100,8 +103,7 @@ def test_figures_along_and_across_the_midline(monkeypatch):
             self.x_px, self.y_px = x, y
 
     found = [(Place(100, 108), np.array([100.0, 100.0]), True), (Place(104, 184), np.array([100.0, 184.0]), True)]
-    monkeypatch.setattr(task, "_found", lambda network, data: found)
-    figures = task.judge(None, {"pictures": np.zeros(1)})
+    figures = task.figures_of(found)
     assert figures["mean_mm"] == pytest.approx(0.3)
     assert figures["worst_mm"] == pytest.approx(0.4)
     assert figures["along_midline_mean_mm"] == pytest.approx(0.2)
@@ -109,4 +111,4 @@ def test_figures_along_and_across_the_midline(monkeypatch):
     assert figures["center_rmse_mm"] == pytest.approx(np.hypot(0.4 * 2 / 3, 0.2 / 3))
     assert figures["swapped"] == 0
     found[0], found[1] = (found[1][0], found[0][1], True), (found[0][0], found[1][1], True)
-    assert task.judge(None, {"pictures": np.zeros(1)})["swapped"] == 1
+    assert task.figures_of(found)["swapped"] == 1

@@ -15,7 +15,8 @@ from vision.runtime import Network
 from vision.samples import load_data
 from vision.training import Recipe, export, finish, train
 
-TINY = Recipe(steps=12, batch=2, learning_rate=3e-3)
+TINY = Recipe(steps=12, batch=2, learning_rate=3e-3, patience=99)
+"""Judged after each step: it would end before it had begun."""
 
 
 def quiet(step, steps, loss):
@@ -59,12 +60,6 @@ def rings():
     }
 
 
-@pytest.fixture(autouse=True)
-def _to_the_end(monkeypatch):
-    """Trainings of a few steps are judged after each of them, and would end before they had begun."""
-    monkeypatch.setattr("vision.training.PATIENCE", 99)
-
-
 def losses_of(task, data, tmp_path, steps=TINY):
     seen = []
     train(task, data, data, steps, seed=1, checkpoint=tmp_path / "c", progress=lambda step, of, loss: seen.append(loss))
@@ -79,7 +74,7 @@ def test_keypoints_learn_the_same_way_twice(discs, tmp_path):
 
 
 def test_completion_learns(rings, tmp_path):
-    losses = losses_of(CompletionTask(), rings, tmp_path, Recipe(steps=50, batch=4, learning_rate=3e-3))
+    losses = losses_of(CompletionTask(), rings, tmp_path, Recipe(steps=50, batch=4, learning_rate=3e-3, patience=99))
     assert np.mean(losses[-5:]) < 0.85 * np.mean(losses[:5])
 
 
@@ -110,7 +105,6 @@ def test_a_checkpoint_of_another_training_is_refused(rings, tmp_path, monkeypatc
 
 
 def test_a_training_that_gains_nothing_more_ends_early(rings, tmp_path, monkeypatch):
-    monkeypatch.setattr("vision.training.PATIENCE", 8)
     held_out = iter([3.0, 1.0, *[2.0] * 20])
     monkeypatch.setattr("vision.training._held_out_loss", lambda *_: next(held_out))
     recipe = Recipe(steps=40, batch=2, learning_rate=1e-3)
@@ -121,7 +115,7 @@ def test_a_training_that_gains_nothing_more_ends_early(rings, tmp_path, monkeypa
 
 def test_the_best_on_the_way_comes_back(rings, tmp_path, monkeypatch):
     """Where the first check is the best, what is learnt after it does not count; where the last is, all of it does."""
-    recipe = Recipe(steps=20, batch=2, learning_rate=1e-3)
+    recipe = Recipe(steps=20, batch=2, learning_rate=1e-3, patience=99)
     biases = []
     for name, held_out in (("rising", iter(range(99))), ("falling", iter(range(99, 0, -1)))):
         monkeypatch.setattr("vision.training._held_out_loss", lambda *_, held_out=held_out: next(held_out))
@@ -162,7 +156,7 @@ def test_a_network_that_is_not_fit_leaves_the_old_one_in_place(rings, tmp_path, 
 
 def test_the_papers_recipe_learns_and_serves_the_same_finder(discs, tmp_path):
     task = PaperTask("tip", ("tip",), widths=(4, 8))
-    recipe = Recipe(epochs=3, batch=2, learning_rate=1e-3, plan="three-rates")
+    recipe = Recipe(epochs=3, batch=2, learning_rate=1e-3, plan="three-rates", patience=99)
     assert recipe.steps_for(4) == 6
     network, history = train(task, discs, discs, recipe, seed=1, checkpoint=tmp_path / "c", progress=quiet)
     assert len(history.losses) == 6
