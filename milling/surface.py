@@ -16,6 +16,8 @@ from drivers.errors import DetectionError, PlanError
 Floats = npt.NDArray[np.float64]
 
 GRID_MM = 0.1
+CLOSE_BY_MM = 0.2
+"""One sigma of the neighbourhood in which something must be matched, or the place is a hole."""
 SMOOTH_MM = 0.3
 """One sigma of the local average: less than the ball's footprint."""
 OUTLIER_SIGMAS = 4.0
@@ -89,13 +91,14 @@ def fit_surface(points_mm: Floats, variance_mm2: Floats, center_xy_mm: Floats, h
 
     side = np.arange(-half_width_mm, half_width_mm + GRID_MM / 2, GRID_MM)
     weight, total = _binned(local[good], residual[good], side)
-    smooth_weight, smooth_total = _blur(weight), _blur(total)
+    smooth_weight, smooth_total = _blur(weight, SMOOTH_MM), _blur(total, SMOOTH_MM)
     # A pull of one match towards the quadratic keeps the ratio finite in holes.
     relief = smooth_total / (smooth_weight + 1e-2)
     scatter = _scatter(local[good], residual[good], relief, side)
     effective = smooth_weight * (4 * np.pi * (SMOOTH_MM / GRID_MM) ** 2)
+    close_by = _blur(weight, CLOSE_BY_MM) * (4 * np.pi * (CLOSE_BY_MM / GRID_MM) ** 2)
     gap = float(np.std(relief)) + scatter
-    random = scatter**2 / np.maximum(effective, 1.0) + gap**2 * np.exp(-effective)
+    random = scatter**2 / np.maximum(effective, 1.0) + gap**2 * np.exp(-close_by)
     grid_x, grid_y = np.meshgrid(side, side)
     height = (_quadratic(np.stack([grid_x.ravel(), grid_y.ravel()], axis=1)) @ coefficients).reshape(grid_x.shape)
     height = height + relief
@@ -105,7 +108,7 @@ def fit_surface(points_mm: Floats, variance_mm2: Floats, center_xy_mm: Floats, h
         y_mm=y,
         z_mm=height,
         sigma_mm=np.sqrt(random + float(np.median(variance[good]))),
-        measured=effective >= 1.0,
+        measured=close_by >= 1.0,
         normals=_normals(x, y, height),
     )
 
@@ -155,10 +158,10 @@ def _binned(xy: Floats, values: Floats, side: Floats) -> tuple[Floats, Floats]:
     return weight, total
 
 
-def _blur(field: Floats) -> Floats:
+def _blur(field: Floats, sigma_mm: float) -> Floats:
     from scipy.ndimage import gaussian_filter
 
-    return np.asarray(gaussian_filter(field, SMOOTH_MM / GRID_MM, mode="constant"), dtype=np.float64)
+    return np.asarray(gaussian_filter(field, sigma_mm / GRID_MM, mode="constant"), dtype=np.float64)
 
 
 def _scatter(xy: Floats, residual: Floats, relief: Floats, side: Floats) -> float:
