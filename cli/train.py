@@ -95,7 +95,7 @@ def train(task: str, data: Path | None, recipe: str, seed: int, out: Path) -> No
     checkpoint.unlink(missing_ok=True)
     console.print(_table(f"{out}, on the test pictures of {folder}", figures))
     worst = learned.worst(Network(out), parts["test"], WORST)
-    write_train_report(out.with_suffix(".html"), f"{task} network", about, figures, history, worst)
+    write_train_report(out.with_suffix(".html"), f"{task} network", trained, figures, history, worst)
     console.print(f"report: {out.with_suffix('.html')}")
 
 
