@@ -7,8 +7,8 @@ import click
 
 from cli.bars import counter, progress_bars
 from cli.options import BenchChoice, on_a_bench
+from cli.train import seed_option, task_argument
 
-TASKS = ("tip", "landmarks", "completion")
 SPLITS = ("train", "validation", "test")
 
 out_option = click.option(
@@ -29,9 +29,9 @@ def dataset() -> None:
 
 
 @dataset.command()
-@click.argument("task", metavar="TASK", type=click.Choice(TASKS))
+@task_argument
 @out_option
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Draws specimens and rigs.")
+@seed_option
 @click.option(
     "--specimens",
     type=click.Path(path_type=Path, exists=True, file_okay=False),

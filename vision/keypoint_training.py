@@ -11,8 +11,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from drivers.errors import ConfigError
-from vision.keypoints import Finder, Keypoint, TipFinder
-from vision.networks import CELL_PX, COARSE, CROP_PX, PICTURE_PX, WINDOW_CELLS, KeypointNet, normalized, read_peak
+from vision.keypoints import PICTURE_PX, WINDOW_CELLS, Finder, Keypoint, TipFinder
+from vision.networks import CELL_PX, COARSE, CROP_PX, KeypointNet, normalized, read_peak
 from vision.runtime import Image, Network
 from vision.samples import Arrays, Data, relit
 from vision.training import Batch, Recipe, Worst

@@ -13,7 +13,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from vision.networks import CELL_PX, COARSE, PICTURE_PX, UNet, normalized, read_peak, reduced
+from vision.keypoints import PICTURE_PX
+from vision.networks import CELL_PX, COARSE, UNet, normalized, read_peak, reduced
 
 VIEW_PX = 256
 """Side of a close view."""

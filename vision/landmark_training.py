@@ -10,9 +10,9 @@ import torch
 from torch import Tensor, nn
 
 from vision.keypoint_training import Found, KeypointTask, as_input, close_loss, rough_loss
-from vision.keypoints import BORDER, Finder, LandmarkFinder
+from vision.keypoints import BORDER, PICTURE_PX, Finder, LandmarkFinder
 from vision.landmark_network import SPAN_PX, VIEW_PX, WINDOW_CELLS, LandmarkNet, view_frames
-from vision.networks import CELL_PX, COARSE, PICTURE_PX
+from vision.networks import CELL_PX, COARSE
 from vision.runtime import Image, Network
 from vision.samples import Data, relit
 from vision.training import Batch

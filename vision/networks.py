@@ -6,16 +6,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-PICTURE_PX = (960, 540)
-"""Width and height of the pictures that the keypoint network is exported for."""
+from vision.keypoints import PICTURE_PX, WINDOW_CELLS
+
 COARSE = 4
 """The first look is at a picture this much smaller."""
 CELL_PX = 2
 """Every answer comes on a grid of 2 x 2 pixels."""
 CROP_PX = 128
 """Side of the second look, at full resolution."""
-WINDOW_CELLS = 5
-"""Half the side of the window round a peak that its place is averaged over."""
 _PADDED_PX = (960, 576)
 
 

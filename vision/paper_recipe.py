@@ -17,8 +17,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from vision.keypoint_training import KeypointTask, as_input
-from vision.keypoints import BORDER, Finder, LandmarkFinder, TipFinder
-from vision.networks import CELL_PX, CROP_PX, PICTURE_PX, UNet, normalized
+from vision.keypoints import BORDER, PICTURE_PX, Finder, LandmarkFinder, TipFinder
+from vision.networks import CELL_PX, CROP_PX, UNet, normalized
 from vision.runtime import Image, Network
 from vision.samples import Data, relit
 from vision.training import CHECKS, Batch, Recipe
