@@ -75,7 +75,9 @@ class Figure:
 def _figures(
     run: Run, result: dict[str, Any], job: dict[str, Any], points: list[dict[str, Any]], contacts: list[dict[str, Any]]
 ) -> list[Figure]:
-    found = [Figure("milling time", f"{result.get('milling_time_s', 0.0):.0f} s", "published, in mice: 2.1 ± 1.8 min")]
+    # Only a virtual bench draws its specimen from a seed.
+    time = "milling time" if run.header.get("seed") is None else "milling time, simulated"
+    found = [Figure(time, f"{result.get('milling_time_s', 0.0):.0f} s", "published, in mice: 2.1 ± 1.8 min")]
     verified = _last(run, "calibration.verified")
     if verified and job:
         off = sum(value**2 for value in verified["error_mm"]) ** 0.5
