@@ -4,10 +4,12 @@ The first line holds the SHA-256 of everything below it: a torn, edited or corru
 """
 
 import hashlib
+import math
 import os
 import re
 import tomllib
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,6 +24,7 @@ from calib.transform import Array
 from drivers.errors import ConfigError, WrongCalibrationError
 
 SCHEMA = 1
+_CLOCK_ERROR_H = 0.1
 _SEAL = re.compile(r'sha256 = "([0-9a-f]{64})"\n')
 
 
@@ -44,6 +47,8 @@ class RigIdentity(_Strict):
     spindle: str = ""
     center_from_tip_mm: _Vector = (0.0, 0.0, 0.0)
     """From the drill's tip to the centre of its ball, which is what the eyes detect."""
+    camera_settings: str = ""
+    """Exposure and what else the cameras were set to: another light shifts what the eyes see."""
 
 
 class Provenance(_Strict):
@@ -168,19 +173,31 @@ class Calibration:
             raise ConfigError(f"{path}: cannot be written ({error}); free space or choose another place") from error
 
     @classmethod
-    def load(cls, path: Path, rig: RigIdentity | None, *, for_milling: bool = False) -> "Calibration":
+    def load(
+        cls,
+        path: Path,
+        rig: RigIdentity | None,
+        *,
+        for_milling: bool = False,
+        now: datetime | None = None,
+        max_age_h: float = math.inf,
+    ) -> "Calibration":
         """Read a file that was saved for this rig.
 
         Args:
             path: the file.
             rig: the rig at hand; None only to look at a file without using it.
             for_milling: refuse a calibration that must not guide the drill through bone.
+            now: what its age is counted to, with time zone; None asks for no age.
+            max_age_h: oldest that is accepted.
 
         Raises:
             ConfigError: no such file, corrupt, another schema, or a key that is unknown, missing or out of its range.
-            WrongCalibrationError: it belongs to another rig, or is not for milling.
+            WrongCalibrationError: it belongs to another rig, is too old, or is not for milling.
         """
         calibration = _parse(path)
+        if now is not None:
+            _require_fresh(calibration, path, now, max_age_h)
         if rig is not None:
             _require_same_rig(calibration.rig, rig, str(path))
         if for_milling and calibration.not_for_milling:
@@ -295,6 +312,22 @@ def _parse(path: Path) -> Calibration:
         file.rig,
         file.provenance,
     )
+
+
+def _require_fresh(calibration: Calibration, path: Path, now: datetime, max_age_h: float) -> None:
+    date = calibration.provenance.date
+    try:
+        age_h = (now - datetime.fromisoformat(date)).total_seconds() / 3600.0
+    except (ValueError, TypeError):
+        raise WrongCalibrationError(
+            f"{path}: key provenance.date: found {date!r}, a date with time zone is needed; run `mill calibrate` again"
+        ) from None
+    if age_h < -_CLOCK_ERROR_H:
+        raise WrongCalibrationError(f"{path}: dated {date}, which is yet to come; set this machine's clock")
+    if age_h > max_age_h:
+        raise WrongCalibrationError(
+            f"{path}: {age_h:.0f} h old, allowed {max_age_h:g} h ([calibration] max_age_h); run `mill calibrate` again"
+        )
 
 
 def _require_same_rig(calibrated: RigIdentity, found: RigIdentity, path: str) -> None:

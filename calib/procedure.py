@@ -101,6 +101,7 @@ def calibrate(
     settle_s: float = 0.3,
     feed_mm_per_s: float = 10.0,
     spindle_identity: str = "",
+    camera_settings: str = "",
     provenance: Provenance | None = None,
     recorder: Recorder | None = None,
     progress: Progress | None = None,
@@ -119,6 +120,7 @@ def calibrate(
         settle_s: rest before the first picture.
         feed_mm_per_s: of all moves.
         spindle_identity: goes into the file.
+        camera_settings: exposure and what else must stay as it is; goes into the file.
         provenance: date, software and weights for the file.
         recorder: takes an event for each sighting, and its pictures.
         progress: told after each setpoint.
@@ -173,7 +175,11 @@ def calibrate(
     fit = _fit(sightings, recipe, camera.size_px)
     _require_paper_gates(fit)
     rig = RigIdentity(
-        motion=motion.identity, camera=camera.identity, spindle=spindle_identity, center_from_tip_mm=tool_offset_mm
+        motion=motion.identity,
+        camera=camera.identity,
+        spindle=spindle_identity,
+        center_from_tip_mm=tool_offset_mm,
+        camera_settings=camera_settings,
     )
     calibration = _calibration(sightings, fit, recipe, rig, provenance or Provenance())
     recorder.event(

@@ -48,6 +48,7 @@ def calibrate(
     file that holds for this rig only. The spindle stays off.
     """
     from calib.calibration_file import Calibration
+    from cli.reports.calibration_report import write_calibration_report
     from studies.calibration_error import errors_in_box
     from vision.keypoints import TipFinder
 
@@ -70,7 +71,10 @@ def calibrate(
             calibration = calibrate_rig(bench, motion, camera, spindle.identity, find_tip, console, recipe=recipe)
             calibration.save(path)
             duration_s = bench.clock.now_s() - started_s
+            report = path.with_suffix(".html")
+            write_calibration_report(report, calibration, path, duration_s)
             _show(console, calibration, path, duration_s)
+            console.print(f"  report: {report}", highlight=False, soft_wrap=True)
             if json_file is None:
                 return
             figures = _figures(calibration, path, duration_s)
@@ -118,6 +122,7 @@ def calibrate_rig(
             recipe=cast(Literal["default", "paper"], recipe),
             tool_offset_mm=bench.config.tool.center_from_tip_mm,
             spindle_identity=spindle_identity,
+            camera_settings=bench.config.camera_settings,
             provenance=provenance(find_tip),
             recorder=recorder,
             progress=show,
@@ -174,12 +179,14 @@ def rig_identity(bench: Rig, motion: "MotionController", camera: "StereoCamera",
         camera=camera.identity,
         spindle=spindle_identity,
         center_from_tip_mm=bench.config.tool.center_from_tip_mm,
+        camera_settings=bench.config.camera_settings,
     )
 
 
 def _figures(calibration: "Calibration", path: Path, duration_s: float) -> dict[str, Any]:
     return {
         "file": str(path),
+        "report": str(path.with_suffix(".html")),
         "recipe": calibration.recipe,
         "model": calibration.model,
         "candidates_mm": calibration.candidates_mm,

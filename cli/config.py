@@ -108,6 +108,13 @@ class BenchTable(Table):
     """Where the drill is out of both pictures."""
 
 
+class CalibrationTable(Table):
+    """How long a calibration is good for."""
+
+    max_age_h: Positive = 168.0
+    """A rig that was left alone for longer is calibrated again before it mills."""
+
+
 class WeightsTable(Table):
     """Networks in place of mill's own, as `mill train` writes them; paths count from the rig file."""
 
@@ -127,9 +134,16 @@ class RigConfig(BaseModel):
     camera: OpenCvCamera | OtherBackend
     tool: ToolTable = ToolTable()
     bench: BenchTable = BenchTable()
+    calibration: CalibrationTable = CalibrationTable()
     weights: WeightsTable = WeightsTable()
     job: dict[str, Any] = {}
     """Checked by milling.job, which knows the limits of a job."""
+
+    @property
+    def camera_settings(self) -> str:
+        """What the cameras are set to, besides which ones they are."""
+        table = self.camera.model_dump(exclude={"backend", "left", "right", "max_skew_s"}, exclude_none=True)
+        return ", ".join(f"{key} {value}" for key, value in sorted(table.items()))
 
 
 BUILT_IN: Mapping[Kind, Mapping[str, type[Table]]] = {

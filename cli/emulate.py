@@ -17,7 +17,6 @@ from drivers.errors import ConfigError
 if TYPE_CHECKING:
     from firmware_sim.bench import Dialect
     from firmware_sim.serve import BenchService, ServiceStatus
-    from firmware_sim.specimen import Specimen
 
 
 @click.command()
@@ -61,11 +60,12 @@ def emulate(
     """
     from firmware_sim.bench import Bench
     from firmware_sim.serve import BenchService, write_atomically
+    from firmware_sim.specimen import specimen_for
 
     for path in (rig_out, truth_out):
         if path is not None and not path.parent.is_dir():
             raise ConfigError(f"{path}: no folder {path.parent}; make it, or name another file")
-    drawn = _specimen(specimen, seed)
+    drawn = specimen_for(seed, specimen)
     if sys.stderr.isatty():
         click.echo("Preparing the bench...", err=True)
     with _stop_signals() as stopped, BenchService(Bench(drawn, dialect=dialect), fps=fps) as service:
@@ -139,15 +139,6 @@ park_mm = {_vector(PARK_MM)}        # where the drill is out of both pictures
 
 def _vector(values: tuple[float, float, float]) -> str:
     return f"[{', '.join(f'{float(value):.6g}' for value in values)}]"
-
-
-def _specimen(path: Path | None, seed: int) -> "Specimen":
-    """Drawn by seed; a file overrides what it names."""
-    from firmware_sim.specimen import draw_specimen, load_specimen
-
-    if path is None:
-        return draw_specimen(seed)
-    return load_specimen(path, base=draw_specimen(seed, load_specimen(path).kind))
 
 
 def _show(status: "ServiceStatus") -> None:

@@ -2,9 +2,12 @@
 
 import os
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,14 +15,26 @@ from cli.bars import counter, progress_bars
 from cli.options import json_option
 from cli.output import console_beside, write_json
 
+if TYPE_CHECKING:
+    from studies.tables import Table
+    from studies.trials import World
+
 out_option = click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
-    required=True,
     metavar="DIR",
-    help="Receives a file per trial. A study that was stopped goes on from there.",
+    help="Receives a file per trial, and a report; a study that was stopped goes on from there. [default: none]",
 )
 seed_option = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The first of them.")
+specimens_option = click.option(
+    "--specimens",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    metavar="DIR",
+    help="Specimen files, taken in turn: each overrides what a seed draws. [default: as drawn]",
+)
+count_option = click.option(
+    "--specimens-count", "count", type=click.IntRange(1), metavar="N", help="How many. [default: 20, or one per file]"
+)
 workers_option = click.option(
     "--workers", type=click.IntRange(1), default=os.cpu_count() or 1, show_default=True, help="Processes."
 )
@@ -31,68 +46,161 @@ def experiment() -> None:
 
 
 @experiment.command()
-@click.option("--rigs", type=click.IntRange(1), default=20, show_default=True, help="How many.")
+@click.option("--rigs", type=click.IntRange(1), metavar="N", help="How many. [default: 20, or one per file]")
 @seed_option
+@specimens_option
 @workers_option
 @out_option
 @json_option
-def calibration(rigs: int, seed: int, workers: int, out: Path, json_file: Path | None) -> None:
+def calibration(
+    rigs: int | None, seed: int, specimens: Path | None, workers: int, out: Path | None, json_file: Path | None
+) -> None:
     """Experiment 1: the landmark calibration's error over the paper's box, by recipe, on the same rigs."""
-    from studies.calibration_trials import calibrate_one, summary, trials_of
+    from studies import calibration_trials as study
+    from studies.trials import worlds
 
-    _study("calibration", calibrate_one, trials_of(rigs, seed), summary, seed, workers, out, json_file)
+    chosen = worlds(rigs, seed, specimens)
+    _study("calibration", study.calibrate_one, study.trials_of(chosen), study, chosen, workers, out, json_file)
 
 
 @experiment.command()
-@click.option("--specimens", type=click.IntRange(1), default=20, show_default=True, help="How many.")
+@count_option
 @seed_option
+@specimens_option
 @workers_option
 @out_option
 @json_option
-def surface(specimens: int, seed: int, workers: int, out: Path, json_file: Path | None) -> None:
-    """Experiment 2: height and normals of the reconstructed bone at the ring, by recipe, on the same specimens."""
-    from studies.surface_trials import reconstruct_one, summary, trials_of
+def surface(
+    count: int | None, seed: int, specimens: Path | None, workers: int, out: Path | None, json_file: Path | None
+) -> None:
+    """Experiment 2: landmarks, and the bone's height and normals at the ring, by recipe, on the same specimens."""
+    from studies import surface_trials as study
+    from studies.trials import worlds
 
-    _study("surface", reconstruct_one, trials_of(specimens, seed), summary, seed, workers, out, json_file)
+    chosen = worlds(count, seed, specimens)
+    _study("surface", study.reconstruct_one, study.trials_of(chosen), study, chosen, workers, out, json_file)
+
+
+@experiment.command()
+@count_option
+@seed_option
+@specimens_option
+@click.option(
+    "--paper-weights",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    metavar="FILE",
+    help="What `mill train completion --recipe paper` made; read beside mill's own.",
+)
+@workers_option
+@out_option
+@json_option
+def completion(
+    count: int | None,
+    seed: int,
+    specimens: Path | None,
+    paper_weights: Path | None,
+    workers: int,
+    out: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Completion, holes and the kerf's box through whole runs, clean and under shifts; and how fast they are read.
+
+    The speed is measured on one core beside a network of the paper's kind, in the same run.
+    """
+    from benchmarks.completion_speed import measure
+    from studies import completion_trials as study
+    from studies.trials import worlds
+    from vision.runtime import verify
+
+    chosen = worlds(count, seed, specimens)
+    stamp = {"paper weights": verify(paper_weights, "completion")} if paper_weights else {}
+    trials = study.trials_of(chosen, paper_weights)
+    _study("completion", study.read_one, trials, study, chosen, workers, out, json_file, stamp=stamp, beside=measure)
 
 
 def _study(
     name: str,
     trial: Callable[..., dict[str, Any]],
     arguments: Mapping[str, tuple[Any, ...]],
-    summary: Callable[[Mapping[str, dict[str, Any]]], dict[str, dict[str, Any]]],
-    seed: int,
+    study: Any,
+    chosen: "list[World]",
     workers: int,
-    out: Path,
+    out: Path | None,
     json_file: Path | None,
+    *,
+    stamp: Mapping[str, str] | None = None,
+    beside: Callable[[], dict[str, float]] | None = None,
 ) -> None:
-    from rich.table import Table
+    """Run every trial of a study, and tell its figures by recipe, beside the paper's.
 
+    Args:
+        name: of the experiment.
+        trial: runs one of its trials.
+        arguments: of every trial, by its name.
+        study: the module, with ``summary`` and ``PUBLISHED``.
+        chosen: the worlds.
+        workers: processes.
+        out: receives the trials and the report; None keeps nothing.
+        json_file: receives the figures.
+        stamp: what else makes the figures.
+        beside: measures more figures of the default recipe, once the trials are done.
+    """
+    from cli.reports.study_report import write_study_report
+    from studies.tables import tables
     from studies.trials import run_trials
-    from vision.runtime import WEIGHTS, read_manifest
 
-    stamp = {"micromill": version("micromill"), "tip.onnx": read_manifest(WEIGHTS)["tip.onnx"]["sha256"]}
-    with progress_bars() as bars:
-        counted = counter(bars, name)
-        trials = run_trials(trial, arguments, out, workers=workers, progress=counted, stamp=stamp)
-    recipes = summary(trials)
-    table = Table(title=f"{name}, on the virtual bench; RMSE over the trials that succeeded")
-    for heading in ("figure", *recipes):
-        table.add_column(heading, overflow="fold")
-    for figure in dict.fromkeys(figure for figures in recipes.values() for figure in figures):
-        if not figure.endswith(("_low", "_high")):
-            table.add_row(figure, *(_with_interval(figures, figure) for figures in recipes.values()))
-    console_beside(json_file).print(table)
+    with ExitStack() as stack:
+        folder = out or Path(stack.enter_context(TemporaryDirectory()))
+        with progress_bars() as bars:
+            trials = run_trials(
+                trial,
+                arguments,
+                folder,
+                workers=workers,
+                progress=counter(bars, name),
+                stamp={**_stamp(chosen), **(stamp or {})},
+            )
+    recipes = study.summary(trials)
+    if beside is not None:
+        recipes["default"] |= beside()
+    published: dict[str, float] = study.PUBLISHED
+    console = console_beside(json_file)
+    for table in tables(name, recipes, published):
+        console.print(_shown(table))
+    if out:
+        write_study_report(out / "report.html", name, recipes, published, trials)
+        console.print(f"report: {out / 'report.html'}")
     if json_file:
-        write_json(json_file, f"experiment {name}", seed=seed, recipes=recipes, trials=list(trials.values()))
+        write_json(
+            json_file,
+            f"experiment {name}",
+            seed=chosen[0].seed,
+            **recipes,
+            recipes=list(recipes),
+            published=published,
+            trials=list(trials.values()),
+        )
 
 
-def _with_interval(figures: Mapping[str, Any], name: str) -> str:
-    if name not in figures:
-        return "-"
-    value = f"{figures[name]:.4g}"
-    return (
-        f"{value} ({figures[f'{name}_low']:.4g} to {figures[f'{name}_high']:.4g})"
-        if f"{name}_low" in figures
-        else value
-    )
+def _stamp(chosen: "list[World]") -> dict[str, str]:
+    """What makes the figures: this version, its networks, and the specimen files."""
+    from vision.runtime import TASKS, WEIGHTS, read_manifest
+
+    files = sorted({world.file for world in chosen if world.file is not None})
+    manifest = read_manifest(WEIGHTS)
+    return {
+        "micromill": version("micromill"),
+        **{f"{task}.onnx": manifest[f"{task}.onnx"]["sha256"] for task in TASKS},
+        **{file.name: sha256(file.read_bytes()).hexdigest() for file in files},
+    }
+
+
+def _shown(table: "Table") -> Any:
+    from rich.table import Table as Shown
+
+    shown = Shown(title=table.title)
+    for heading in table.headings:
+        shown.add_column(heading, overflow="fold")
+    for row in table.rows:
+        shown.add_row(*row)
+    return shown

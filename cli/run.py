@@ -66,7 +66,10 @@ def run(
         weights = {"tip": tip.sha256, "landmarks": landmarks.sha256, "completion": completion.sha256}
         job = Job.from_table(_job_table(bench, choices))
         path = calibration or calibration_path(bench.config.name)
-        known = None if chosen.emulate and calibration is None else Calibration.load(path, None, for_milling=True)
+        age: dict[str, Any] = {"now": datetime.now(UTC), "max_age_h": bench.config.calibration.max_age_h}
+        known = (
+            None if chosen.emulate and calibration is None else Calibration.load(path, None, for_milling=True, **age)
+        )
         with bench.open_spindle() as spindle, bench.open_camera() as camera, bench.open_motion() as motion:
             identity = rig_identity(bench, motion, camera, spindle.identity)
             if known is None:
@@ -75,7 +78,7 @@ def run(
                 known = calibrate_rig(bench, motion, camera, spindle.identity, tip, console)
                 console.print(f"calibrated: held-out error {known.rmse_mm:.3f} mm ({known.model} model)")
             else:
-                known = Calibration.load(path, identity, for_milling=True)
+                known = Calibration.load(path, identity, for_milling=True, **age)
             header = {
                 "command": "run",
                 "version": version("micromill"),

@@ -27,6 +27,7 @@ FILM_CHANNELS: Final = 6
 BLUE_MU_PER_MM: Final = 4.73
 RED_MU_PER_MM: Final = 1.97
 GREEN_MU_PER_MM: Final = 3.75
+BLOOD_RGB: Final = np.array([0.13, 0.014, 0.02])
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ def _draw_mouse(rng: np.random.Generator, skull: Skull, scene: Grid) -> _Parts:
     bone = _mix(bone, suture_rgb, line * rng.uniform(0.45, 0.95))
 
     tissue = np.array([0.45, 0.125, 0.10]) * np.exp(rng.normal(0, [0.12, 0.2, 0.2]))
-    blood = np.array([0.13, 0.014, 0.02]) * np.exp(rng.normal(0, 0.2))
+    blood = BLOOD_RGB * np.exp(rng.normal(0, 0.2))
     bed = np.broadcast_to(tissue, (*shape, 3)) * np.exp(0.08 * smooth_noise(rng, shape, step, 0.6))[..., None]
     bed = _mix(bed, blood, np.clip(_blur(_ink(skull, vessels(rng, length), 1.0), 1.5), 0, 1) * 0.9)
 
@@ -214,9 +215,14 @@ def _fur(rng: np.random.Generator, skull: Skull, scene: Grid) -> Array:
     return fur
 
 
-def _blood_specks(rng: np.random.Generator, skull: Skull, blood: Array, count: int) -> Field:
+def _no_film(skull: Skull, blood: Array) -> Field:
     film = np.zeros((*skull.outer_z.shape, FILM_CHANNELS), np.float32)
     film[..., :3] = blood
+    return film
+
+
+def _blood_specks(rng: np.random.Generator, skull: Skull, blood: Array, count: int) -> Field:
+    film = _no_film(skull, blood)
     grid = skull.grid
     cover = np.zeros(skull.outer_z.shape, np.float32)
     for _ in range(count):
@@ -304,6 +310,12 @@ def pour(
         film[..., 5] = np.maximum(film[..., 5], cover * np.float32(0.9))
     look.relief_mm[here] += np.float32(0.12 * radius_mm) * np.clip(1.0 - away**2, 0.0, 1.0)
     return i0, i1, j0, j1
+
+
+def smear(look: Look, cover: float) -> None:
+    """Let an uneven film of blood run over all bone and into every kerf; ``cover`` is its mean share of the colour."""
+    film = np.clip(cover * (1.0 + 0.5 * look.grain), 0.0, 0.95)
+    look.film[..., 5] = np.maximum(look.film[..., 5], film)
 
 
 def _ink(skull: Skull, strokes: list[Stroke], value: float) -> Field:

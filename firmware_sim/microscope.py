@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from firmware_sim.appearance import Liquid, draw_look, pour
+from firmware_sim.appearance import Liquid, draw_look, pour, smear
 from firmware_sim.drill_picture import draw_drill, paint_drill, picture_box
 from firmware_sim.machine import Machine
 from firmware_sim.optics import HEIGHT_PX, WIDTH_PX, Eye, draw_eyes
@@ -130,6 +130,13 @@ class Microscope:
         x, y = np.asarray(xy_mm, float)[:2]
         with self._busy:
             self._pour(float(x), float(y), radius_mm, liquid)
+
+    def smear(self, cover: float) -> None:
+        """Let an uneven film of blood run over all bone; ``cover`` is its mean share of the colour. It stays."""
+        with self._busy:
+            smear(self.look, cover)
+            for view in self._views:
+                self._shade(view, (0, HEIGHT_PX, 0, WIDTH_PX))
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[Array, Array]:
         """True pixels (n, 2) of points (n, 3) of {R} in the left and the right picture."""

@@ -205,6 +205,17 @@ def draw_specimen(seed: int, kind: Kind = "mouse") -> Specimen:
     return Specimen.model_validate(_plain(draw))
 
 
+def specimen_for(seed: int, path: str | Path | None = None) -> Specimen:
+    """What ``seed`` draws; a specimen file overrides what it names.
+
+    Raises:
+        ConfigError: as of ``load_specimen``.
+    """
+    if path is None:
+        return draw_specimen(seed)
+    return load_specimen(path, base=draw_specimen(seed, load_specimen(path).kind))
+
+
 def _draw_mouse_skull(rng: np.random.Generator) -> dict[str, Any]:
     mean = rng.uniform(0.33, 0.43)
     return {

@@ -37,11 +37,18 @@ class Reading(Protocol):
         """(n,) False where the drill hides the point."""
 
 
-class CompletionReader(Protocol):
-    """Reads the ring from a picture; see ``vision.completion.CompletionReader``."""
+class RingReader(Protocol):
+    """Reads one ring from picture after picture; see ``vision.completion.RingReader``."""
 
-    def read(self, image: Image, ring_px: Floats, radius_px: float, *, reference: Image | None) -> Reading:
+    def read(self, image: Image) -> Reading:
         """Completion, its upper bound and visibility at each ring point."""
+
+
+class CompletionReader(Protocol):
+    """Reads rings; see ``vision.completion.CompletionReader``."""
+
+    def over(self, ring_px: Floats, ball_px: float, *, reference: Image | None) -> RingReader:
+        """A reader of one ring."""
 
 
 class Projector(Protocol):
@@ -76,8 +83,12 @@ class RingView:
     @property
     def radius_px(self) -> float:
         """The ring's radius at the picture's mean scale."""
-        ring = self.ring_px
-        return float(np.linalg.norm(ring - ring.mean(axis=0), axis=1).mean())
+        return _mean_radius(self.ring_px)
+
+    @property
+    def ball_px(self) -> float:
+        """The ball's radius at that scale."""
+        return self.ball_radius_mm * self.radius_px / _mean_radius(self.ring_mm)
 
     def hidden(self, tip_mm: Sequence[float]) -> npt.NDArray[np.bool_]:
         """(n,) whether a drill at ``tip_mm`` may cover the point, ball or shank."""
@@ -107,10 +118,8 @@ class Watch:
     ) -> None:
         """``reference`` is the left picture of the unmilled skull."""
         self._camera = camera
-        self._reader = reader
+        self._reader = reader.over(view.ring_px, view.ball_px, reference=reference)
         self._view = view
-        self._ring_px, self._radius_px = view.ring_px, view.radius_px
-        self._reference = reference
         self._witness = witness
         self._clock = clock
         self._recorder = recorder
@@ -156,7 +165,7 @@ class Watch:
     def _read(self, frame: StereoFrame, tip_mm: Sequence[float] | None, name: str = "left") -> None:
         self._index = frame.index
         try:
-            reading = self._reader.read(frame.left, self._ring_px, self._radius_px, reference=self._reference)
+            reading = self._reader.read(frame.left)
             completion, upper, visible = self._checked(reading)
         except DetectionError as error:
             self._bad += 1
@@ -189,3 +198,7 @@ class Watch:
         if seen.size and (seen.min() < 0.0 or seen.max() > 1.0):
             raise DetectionError(f"completion from {seen.min():.3g} to {seen.max():.3g}, 0 to 1 is possible")
         return reading.completion, np.maximum(reading.upper, reading.completion), visible
+
+
+def _mean_radius(ring: Floats) -> float:
+    return float(np.linalg.norm(ring - ring.mean(axis=0), axis=1).mean())

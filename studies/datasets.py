@@ -8,6 +8,7 @@ import json
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.errors import ConfigError
-from firmware_sim.specimen import Specimen, draw_specimen, load_specimen
+from firmware_sim.specimen import Specimen, draw_specimen, specimen_for
 from studies.scenes import Sample, completion_samples, landmark_samples, tip_samples
 
 Progress = Callable[[int, int], None]
@@ -34,7 +35,7 @@ class Split:
 
 
 SPLITS = {
-    "train": Split(10_000_000, {"tip": 150, "landmarks": 320, "completion": 220}),
+    "train": Split(10_000_000, {"tip": 150, "landmarks": 320, "completion": 200}),
     "validation": Split(20_000_000, {"tip": 12, "landmarks": 20, "completion": 24}),
     "test": Split(30_000_000, {"tip": 12, "landmarks": 20, "completion": 24}),
 }
@@ -70,7 +71,7 @@ def ensure(
     final = folder / split
     if final.is_dir():
         return
-    worlds = _drawn(task, split, seed) if specimens is None else _read(specimens)
+    worlds = _drawn(task, split, seed) if specimens is None else _read(specimens, split, seed)
     draft = folder / f"{split}.part"
     draft.mkdir(parents=True, exist_ok=True)
     marker = draft / "specimens_done.json"
@@ -137,11 +138,13 @@ def _drawn(task: str, split: str, seed: int) -> list[Callable[[], Specimen]]:
     return [lambda index=index: draw(index) for index in range(chosen.specimens[task])]  # type: ignore[misc]
 
 
-def _read(folder: Path) -> list[Callable[[], Specimen]]:
+def _read(folder: Path, split: str, seed: int) -> list[Callable[[], Specimen]]:
+    """A specimen per file, which overrides what the split draws."""
     files = sorted(folder.glob("*.toml"))
     if not files:
         raise ConfigError(f"{folder}: found no specimen files (*.toml); name a folder that has some")
-    return [lambda file=file: load_specimen(file) for file in files]  # type: ignore[misc]
+    seeds = [SPLITS[split].seed_of(index, seed) for index in range(len(files))]
+    return [partial(specimen_for, *pair) for pair in zip(seeds, files, strict=True)]
 
 
 def _store(file: Path, values: npt.NDArray[np.generic], index: int, count: int) -> None:

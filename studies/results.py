@@ -8,26 +8,15 @@ or from ``mill experiment``.
 
 import argparse
 import json
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from studies.tables import tables
+from studies.trials import wilson
 from vision.runtime import WEIGHTS, read_manifest
 
-Z_95 = 1.959964
 CHOSEN_ON = "6, 10, 16 to 57 and 100 to 119"
-
-
-def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share (Wilson 1927)."""
-    if trials == 0:
-        return 0.0, 1.0
-    share = successes / trials
-    center = share + Z_95**2 / (2 * trials)
-    half = Z_95 * math.sqrt(share * (1 - share) / trials + Z_95**2 / (4 * trials**2))
-    scale = 1 + Z_95**2 / trials
-    return max(0.0, (center - half) / scale), min(1.0, (center + half) / scale)
 
 
 def page(manifest: dict[str, dict[str, Any]], results: Sequence[dict[str, Any]]) -> str:
@@ -68,35 +57,23 @@ def page(manifest: dict[str, dict[str, Any]], results: Sequence[dict[str, Any]])
 
 
 def _experiment(result: dict[str, Any]) -> list[str]:
-    """Recipes side by side; RMSE with their 95 % bootstrap interval over trials."""
-    recipes: dict[str, dict[str, Any]] = result["recipes"]
-    count = next(iter(recipes.values()))["trials"]
+    """Recipes side by side, and shifts; RMSE and shares with their 95 % interval over specimens."""
+    recipes = {name: result[name] for name in result["recipes"]}
+    count = len({trial["seed"] for trial in result["trials"]})
     what = result["command"].removeprefix("experiment ")
-    option = {"calibration": "rigs", "surface": "specimens"}[what]
+    option = "rigs" if what == "calibration" else "specimens-count"
     lines = [
         f"## Experiment: {what}",
         "",
         f"`mill {result['command']} --{option} {count} --seed {result['seed']} --out DIR --json FILE`;",
-        "every recipe on the same virtual rigs, which no network has seen; RMSE over the trials that succeeded,",
-        "with its 95 % interval (bootstrap).",
+        "every recipe on the same virtual specimens and rigs, which no network has seen; figures of the trials that",
+        "succeeded, with their 95 % interval over specimens. The last column is no simulation.",
         "",
-        f"| figure | {' | '.join(recipes)} |",
-        "|---" * (len(recipes) + 1) + "|",
     ]
-    names = dict.fromkeys(name for figures in recipes.values() for name in figures)
-    for name in names:
-        if not name.endswith(("_low", "_high")):
-            lines.append(f"| {name} | {' | '.join(_cell(figures, name) for figures in recipes.values())} |")
-    return [*lines, ""]
-
-
-def _cell(figures: dict[str, Any], name: str) -> str:
-    if name not in figures:
-        return ""
-    value = f"{figures[name]:.4g}"
-    return (
-        f"{value} ({figures[name + '_low']:.3g}-{figures[name + '_high']:.3g})" if name + "_low" in figures else value
-    )
+    for table in tables(what, recipes, result["published"]):
+        lines += [f"**{table.title}**", "", f"| {' | '.join(table.headings)} |", "|---" * len(table.headings) + "|"]
+        lines += [*(f"| {' | '.join(row)} |" for row in table.rows), ""]
+    return lines
 
 
 def _table(runs: Sequence[dict[str, Any]]) -> list[str]:

@@ -2,16 +2,15 @@
 
 from collections.abc import Iterator
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from firmware_sim.machine import Machine
 from firmware_sim.microscope import Microscope, Side
 from firmware_sim.specimen import Specimen
-from vision.completion import crop_affine, cut, stacked
-from vision.completion_training import STORED_PX, paint_labels
+from vision.completion_training import HIDDEN, KERF_FROM, LEVELS, STORED_PX
 from vision.runtime import Image
+from vision.strip import CELLS, Strip, unroll
 
 Array = npt.NDArray[np.float64]
 Sample = dict[str, npt.NDArray[np.generic]]
@@ -22,8 +21,8 @@ BOX_MM = ((-1.0, -21.0, -0.5), (11.0, 1.0, 11.0))
 """The paper's validation box, and a little round it."""
 POSES = 4
 RINGS = 2
-STAGES = 4
-RING_POINTS = 64
+STAGES = 8
+RING_POINTS = CELLS[1]
 INSIDE_PX = 4.0
 """A point nearer to the edge of the picture than this is not asked for."""
 
@@ -70,21 +69,38 @@ class Scene:
         """Cut a kerf of uneven depth; return the completion at each point of the ring."""
         rng = self._rng
         self.machine.restore_bone()
-        kind = rng.choice(["none", "even", "late", "arc", "bridges"], p=[0.06, 0.34, 0.30, 0.10, 0.20])
+        kind = rng.choice(["none", "even", "late", "arc", "bridges"], p=[0.04, 0.44, 0.24, 0.08, 0.20])
         angles = np.arange(len(ring_mm)) * 2 * np.pi / len(ring_mm)
-        waves = sum(rng.normal(0.0, 1.0 / k) * np.cos(k * angles + rng.uniform(0, 2 * np.pi)) for k in (1, 2, 3, 5, 8))
+        waves = np.zeros(len(angles))
+        for k in (1, 2, 3, 5, 8):
+            waves += rng.normal(0.0, 1.0 / k) * np.cos(k * angles + rng.uniform(0, 2 * np.pi))
+        level = rng.uniform(0.0, 1.05)
         share = {
             "none": np.zeros(len(angles)),
-            "even": rng.uniform(0.0, 1.05) + 0.10 * waves,
+            "even": level + min(0.10, 0.03 + 0.3 * level) * rng.uniform(0.2, 1.0) * waves,
             "late": rng.uniform(0.75, 1.05) + rng.uniform(0.03, 0.12) * waves,
             "arc": np.where(
                 np.cos(angles - rng.uniform(0, 2 * np.pi)) > rng.uniform(-0.8, 0.8), rng.uniform(0, 1.1), 0.0
             ),
             "bridges": _bridges(angles, rng) + 0.03 * waves,
         }[str(kind)]
+        return self.carve(ring_mm, share)
+
+    def carve(self, ring_mm: Array, share: Array) -> Array:
+        """Cut so much of the thickness at each point, 60 um past it at most; return the completion there."""
         thickness_mm = self.thickness_mm(ring_mm)
         self.machine.carve(ring_mm, np.clip(share * thickness_mm, 0.0, thickness_mm + 0.06))
         return np.asarray(self.machine.completion_at(ring_mm, search_mm=0.06))
+
+    def pour(self, xy_mm: Array) -> None:
+        """What falls on a ring while it is milled: drops near it, and now and then a film of blood over everything."""
+        rng = self._rng
+        for _ in range(int(rng.integers(1, 7))):
+            at = xy_mm[int(rng.integers(len(xy_mm)))] + rng.normal(0.0, 0.5, size=2)
+            size_mm = float(np.exp(rng.normal(-1.2, 0.5)))
+            self.microscope.pour(at, size_mm, "blood" if rng.random() < 0.3 else "saline")
+        if rng.random() < 0.3:
+            self.microscope.smear(float(rng.uniform(0.05, 0.5)))
 
 
 def _bridges(angles: Array, rng: np.random.Generator) -> Array:
@@ -134,66 +150,78 @@ def landmark_samples(specimen: Specimen, rng: np.random.Generator) -> Iterator[S
             bench.mill(bench.ring()[0])
         pictures = bench.pictures()
         for side, picture, points in zip(SIDES, pictures, places, strict=True):
-            free = ~_at(bench.microscope.drill_mask(side), points)
+            free = ~hides(bench.microscope.drill_mask(side), points)
             yield _keypoints(picture, points if there else np.full_like(points, np.nan), free & there)
 
 
 def completion_samples(specimen: Specimen, rng: np.random.Generator) -> Iterator[Sample]:
-    """A ring at several depths, with the drill in it, above it and away."""
-    bench = Scene(specimen, rng)
-    for _ in range(RINGS):
+    """A ring at several depths, with the drill in it, above it and away; the last ones wet or bloody as a rule."""
+    bench = Scene(_weathered(specimen, rng), rng)
+    ball_mm = specimen.tool.ball_radius_mm
+    for ring in range(RINGS):
         bench.machine.restore_bone()
         bench.park()
-        ring_mm, _ = bench.ring()
+        ring_mm, radius_mm = bench.ring()
         points_mm = np.column_stack([ring_mm, bench.outer_z(ring_mm)])
         rings_px = bench.microscope.project(points_mm)
+        balls_px = [ball_mm * _radius_px(ring_px) / radius_mm * np.exp(rng.normal(0.0, 0.02)) for ring_px in rings_px]
         before = bench.pictures()
-        for _ in range(STAGES):
+        for stage in range(STAGES):
+            if ring == RINGS - 1 and stage == STAGES // 2 and rng.random() < 0.65:
+                bench.pour(ring_mm)
             completion = bench.mill(ring_mm)
             _drill_somewhere(bench, points_mm, rng)
             now = bench.pictures()
             for eye, side in enumerate(SIDES):
                 drill = bench.microscope.drill_mask(side)
-                completion_map = bench.microscope.completion_map_px(side)
-                yield _ring_sample(now[eye], before[eye], rings_px[eye], completion, completion_map, drill, rng)
+                completion_map = np.nan_to_num(bench.microscope.completion_map_px(side))
+                strip = unroll(rings_px[eye], balls_px[eye], across_px=STORED_PX)
+                yield {
+                    "strips": np.concatenate([strip.cut(now[eye]), strip.cut(before[eye])], axis=2),
+                    "maps": _labels(strip, completion_map, drill),
+                    "completions": completion,
+                    "hidden": hides(drill, rings_px[eye]),
+                    "rings_px": rings_px[eye],
+                    "balls_px": np.asarray(balls_px[eye]),
+                    "boxes_px": kerf_box(completion_map),
+                }
+
+
+def _weathered(specimen: Specimen, rng: np.random.Generator) -> Specimen:
+    """Now and then as dusty, as clean, as wet or as dry as can be."""
+    if rng.random() < 0.7:
+        return specimen
+    extreme = {"dust": float(rng.integers(2)), "wetness": float(rng.integers(2))}
+    return specimen.model_copy(update={"appearance": specimen.appearance.model_copy(update=extreme)})
+
+
+def _radius_px(ring_px: Array) -> float:
+    return float(np.linalg.norm(ring_px - ring_px.mean(axis=0), axis=1).mean())
+
+
+def _labels(strip: Strip, completion: npt.NDArray[np.float32], drill: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
+    """Completion along the strip in ``LEVELS``, and ``HIDDEN`` where the drill stands before it."""
+    levels = np.round(LEVELS * strip.of_plane(completion))
+    return np.where(strip.of_plane(drill.astype(np.float32)) > 0.5, HIDDEN, levels).astype(np.uint8)
+
+
+def kerf_box(completion: npt.NDArray[np.float32]) -> Array:
+    """(4,) x0, y0, x1, y1 of the kerf in a map of the picture, drill or not; NaN where there is none."""
+    rows, columns = np.nonzero(completion > KERF_FROM)
+    if len(rows) == 0:
+        return np.full(4, np.nan)
+    return np.array([columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5])
 
 
 def _drill_somewhere(bench: Scene, points_mm: Array, rng: np.random.Generator) -> None:
     draw = rng.random()
     bench.machine.set_spindle(45_000.0)
-    if draw < 0.35:
+    if draw < 0.4:
         bench.park()
         return
     at = points_mm[int(rng.integers(len(points_mm)))]
-    lift_mm = rng.uniform(-0.35, 0.1) if draw < 0.8 else rng.uniform(0.1, 4.0)
+    lift_mm = rng.uniform(-0.35, 0.1) if draw < 0.85 else rng.uniform(0.1, 4.0)
     bench.machine.set_tip(at + np.array([0.0, 0.0, lift_mm]))
-
-
-def _ring_sample(
-    now: Image,
-    before: Image,
-    ring_px: Array,
-    completion: Array,
-    completion_map: npt.NDArray[np.float32],
-    drill: npt.NDArray[np.bool_],
-    rng: np.random.Generator,
-) -> Sample:
-    middle = (ring_px.min(axis=0) + ring_px.max(axis=0)) / 2
-    radius_px = float(np.hypot(*(ring_px - middle).T).mean() * np.exp(rng.normal(0.0, 0.02)))
-    crop_from_image = crop_affine(ring_px, radius_px, side_px=STORED_PX)
-    crop_ring_px = ring_px @ crop_from_image[:, :2].T + crop_from_image[:, 2]
-    half = np.array([[0.5, 0.0, -0.25], [0.0, 0.5, -0.25]])
-    cells_from_image = half[:, :2] @ crop_from_image + np.array([[0, 0, half[0, 2]], [0, 0, half[1, 2]]])
-    size = (STORED_PX // 2, STORED_PX // 2)
-    cells = cv2.warpAffine(np.nan_to_num(completion_map), cells_from_image, size).astype(np.float32)
-    hides = np.asarray(cv2.warpAffine(drill.astype(np.float32), cells_from_image, size) > 0.5)
-    return {
-        "crops": stacked(cut(now, crop_from_image, side_px=STORED_PX), cut(before, crop_from_image, side_px=STORED_PX)),
-        "labels": paint_labels(crop_ring_px, completion, cells, hides),
-        "rings_px": crop_ring_px,
-        "completions": completion,
-        "hidden": _at(drill, ring_px),
-    }
 
 
 def _keypoints(picture: Image, points: Array, visible: npt.NDArray[np.bool_]) -> Sample:
@@ -207,7 +235,7 @@ def _keypoints(picture: Image, points: Array, visible: npt.NDArray[np.bool_]) ->
     }
 
 
-def _at(mask: npt.NDArray[np.bool_], points: Array) -> npt.NDArray[np.bool_]:
+def hides(mask: npt.NDArray[np.bool_], points: Array) -> npt.NDArray[np.bool_]:
     """Values of a mask at (n, 2) pixels; False outside the picture."""
     columns, rows = np.round(points).astype(int).T
     inside = (columns >= 0) & (rows >= 0) & (columns < mask.shape[1]) & (rows < mask.shape[0])

@@ -5,7 +5,7 @@ milling uses; ``paper`` is semi-global matching and the cloud's own points, as t
 given the same pictures, as many as milling takes.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -13,31 +13,36 @@ import numpy.typing as npt
 
 from calib.stereo import PAPER_MODEL
 from drivers.errors import DetectionError, PlanError
-from firmware_sim.specimen import draw_specimen
 from milling.surface import NORMAL_RADIUS_MM, fit_surface
 from milling.survey import BEYOND_MM, FRAMES, LOOK_HALF_PX
 from studies.scenes import Scene
-from studies.trials import FIRST_SEED, Figures, by_recipe, rms
+from studies.trials import Figures, World, by_recipe, rms, rms_interval
 from vision.disparity import averaged, match
+from vision.keypoints import LandmarkFinder
 from vision.runtime import Image
 
 Floats = npt.NDArray[np.float64]
 
 RECIPES = ("default", "paper")
+PUBLISHED = {"bregma_rmse_px": 1.19, "lambda_rmse_px": 1.73, "center_rmse_px": 1.37}
+"""The paper's figures, on its pictures."""
+LANDMARK_RATIO = 1.0 / 3.0
+"""The ring's centre between bregma and lambda."""
 RADIUS_MM = 2.0
 RING_POINTS = 64
 SGBM_BLOCK_PX = 5
 SGBM_DISPARITIES = 64
 
 
-def reconstruct_one(seed: int, recipe: str) -> Figures:
-    """Reconstruct the unmilled bone of ``seed`` from what milling looks at.
+def reconstruct_one(world: World, recipe: str) -> Figures:
+    """Reconstruct the unmilled bone of ``world`` from what milling looks at.
 
     Returns:
         ``seed``, ``recipe``, ``failed`` (the reason, or None), and at the ring's points ``height_rmse_mm``,
-        ``height_bias_mm``, ``normal_rmse_deg``, and for ``default`` the share of them ``within_2_sigma``.
+        ``height_bias_mm``, ``normal_rmse_deg``; for ``default`` also the share of them ``within_2_sigma``, and of a
+        mouse how far ``bregma_px``, ``lambda_px`` and ``center_px`` are off in each picture, None where not seen.
     """
-    scene = Scene(draw_specimen(FIRST_SEED + seed), np.random.default_rng([seed, 2]))
+    scene = Scene(world.specimen(), np.random.default_rng([world.seed, 2]))
     scene.park()
     pairs = [scene.pictures() for _ in range(FRAMES)]
     left, right = (averaged([pair[side] for pair in pairs]) for side in (0, 1))
@@ -47,7 +52,9 @@ def reconstruct_one(seed: int, recipe: str) -> Figures:
     normals = _true_normals(scene, ring)
     warp = _right_from_left(scene, float(scene.outer_z(ring).mean()))
     middle_px = np.mean(scene.microscope.project(_on_bone(scene, ring))[0], axis=0)
-    about: Figures = {"seed": seed, "recipe": recipe, "failed": None}
+    about: Figures = {"seed": world.seed, "recipe": recipe, "failed": None}
+    if recipe == "default" and scene.machine.specimen.kind == "mouse":
+        about |= _landmark_errors(scene, pairs[0])
     try:
         if recipe == "default":
             heights, found_normals, sigma = _default(left, right, warp, middle_px, truth)
@@ -66,21 +73,57 @@ def reconstruct_one(seed: int, recipe: str) -> Figures:
     }
 
 
-def trials_of(specimens: int, seed: int) -> dict[str, tuple[int, str]]:
-    """Name and arguments of every trial: ``specimens`` from ``seed`` on, each with every recipe."""
-    return {f"specimen-{k}-{recipe}": (k, recipe) for k in range(seed, seed + specimens) for recipe in RECIPES}
+def trials_of(specimens: Sequence[World]) -> dict[str, tuple[World, str]]:
+    """Name and arguments of every trial: each specimen with every recipe."""
+    return {f"specimen-{world.name}-{recipe}": (world, recipe) for world in specimens for recipe in RECIPES}
 
 
 def summary(trials: Mapping[str, Figures]) -> dict[str, Figures]:
-    """By recipe: how many, how many failed, and RMSE with its interval."""
+    """By recipe: how many, how many failed, and RMSE with its interval; landmarks are read by ``default`` alone."""
     result: dict[str, Figures] = {}
     for recipe, (figures, good) in by_recipe(trials, RECIPES, ("height_rmse_mm", "normal_rmse_deg")).items():
         result[recipe] = figures
         if good:
             figures["height_worst_specimen_mm"] = max(trial["height_rmse_mm"] for trial in good)
-        if good and recipe == "default":
-            figures["within_2_sigma"] = float(np.mean([trial["within_2_sigma"] for trial in good]))
+        if recipe == "default":
+            if good:
+                figures["within_2_sigma"] = float(np.mean([trial["within_2_sigma"] for trial in good]))
+            mice = [t for t in trials.values() if t["recipe"] == recipe and "bregma_px" in t]
+            figures.update(_landmarks(mice))
     return result
+
+
+def _landmarks(trials: Sequence[Figures]) -> Figures:
+    """RMSE with its interval, worst case and misses over the pictures of all mice."""
+    figures: Figures = {}
+    for name in ("bregma", "lambda", "center"):
+        errors = [error for trial in trials for error in trial[f"{name}_px"]]
+        seen = [error for error in errors if error is not None]
+        if seen:
+            per_trial = [[error for error in trial[f"{name}_px"] if error is not None] for trial in trials]
+            value, low, high = rms_interval([rms(errors_px) for errors_px in per_trial if errors_px])
+            figures |= {f"{name}_rmse_px": value, f"{name}_rmse_px_low": low, f"{name}_rmse_px_high": high}
+            figures |= {f"{name}_median_px": float(np.median(seen)), f"{name}_worst_px": max(seen)}
+        if errors:
+            figures[f"{name}_missed"] = 1.0 - len(seen) / len(errors)
+    return figures
+
+
+def _landmark_errors(scene: Scene, pictures: tuple[Image, Image]) -> Figures:
+    """Distances in px from where landmarks and the ring's centre are, of each picture; None where one is not seen."""
+    skull = scene.machine.skull
+    errors: dict[str, list[float | None]] = {"bregma_px": [], "lambda_px": [], "center_px": []}
+    places = scene.microscope.project(np.stack([skull.bregma_mm, skull.lambda_mm]))
+    find = LandmarkFinder.load().find
+    for picture, truth in zip(pictures, places, strict=True):
+        bregma, lambda_ = find(picture)
+        found = np.array([[bregma.x_px, bregma.y_px], [lambda_.x_px, lambda_.y_px]])
+        off = found - truth
+        whole = [off[0], off[1], (1 - LANDMARK_RATIO) * off[0] + LANDMARK_RATIO * off[1]]
+        seen = [bregma.visible, lambda_.visible, bregma.visible and lambda_.visible]
+        for name, error, visible in zip(errors, whole, seen, strict=True):
+            errors[name].append(float(np.hypot(*error)) if visible else None)
+    return dict(errors)
 
 
 def _on_bone(scene: Scene, xy_mm: Floats) -> Floats:

@@ -4,8 +4,10 @@ A trial must depend on its arguments alone, so that the same study gives the sam
 """
 
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,12 +16,52 @@ import numpy.typing as npt
 from scipy.stats import bootstrap
 
 from drivers.errors import ConfigError
+from firmware_sim.specimen import Specimen, specimen_for
 
 Figures = dict[str, Any]
 Progress = Callable[[int, int], None]
 
+Z_95 = 1.959964
+COUNT = 20
+"""Worlds of an experiment that names no other number."""
 FIRST_SEED = 40_000_000
 """Specimens and rigs of the experiments begin here: networks are trained, chosen and judged on others."""
+
+
+@dataclass(frozen=True)
+class World:
+    """A specimen on its rig, as an experiment meets it."""
+
+    seed: int
+    file: Path | None = None
+    """A specimen file: it overrides what the seed draws."""
+
+    @property
+    def name(self) -> str:
+        """Of its trials' files."""
+        return f"{self.seed}" if self.file is None else f"{self.seed}-{self.file.stem}"
+
+    def specimen(self) -> Specimen:
+        """Drawn anew."""
+        return specimen_for(FIRST_SEED + self.seed, self.file)
+
+
+def worlds(count: int | None, seed: int, folder: Path | None) -> list[World]:
+    """``count`` worlds from ``seed`` on; with a folder, its specimen files in turn override what the seeds draw.
+
+    Without ``count`` each file is used once, or there are ``COUNT`` drawn ones.
+
+    Raises:
+        ConfigError: the folder holds no specimen files, or one that is not allowed.
+    """
+    files: Sequence[Path | None] = [None] if folder is None else sorted(folder.glob("*.toml"))
+    if not files:
+        raise ConfigError(f"{folder}: found no specimen files (*.toml); name a folder that has some")
+    count = count or (COUNT if folder is None else len(files))
+    chosen = [World(seed + k, files[k % len(files)]) for k in range(count)]
+    for world in chosen[: len(files)]:
+        world.specimen()
+    return chosen
 
 
 def run_trials(
@@ -115,3 +157,20 @@ def rms_interval(per_trial_rms: npt.ArrayLike) -> tuple[float, float, float]:
     found = bootstrap((values**2,), np.mean, n_resamples=2000, method="percentile", rng=np.random.default_rng(0))
     low, high = np.sqrt(found.confidence_interval)
     return rms(values), float(low), float(high)
+
+
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share (Wilson 1927)."""
+    if trials == 0:
+        return 0.0, 1.0
+    share = successes / trials
+    center = share + Z_95**2 / (2 * trials)
+    half = Z_95 * math.sqrt(share * (1 - share) / trials + Z_95**2 / (4 * trials**2))
+    scale = 1 + Z_95**2 / trials
+    return max(0.0, (center - half) / scale), min(1.0, (center + half) / scale)
+
+
+def share_of(name: str, successes: int, trials: int) -> Figures:
+    """A share with its 95 % interval (Wilson), as figures."""
+    low, high = wilson(successes, trials)
+    return {name: successes / trials if trials else None, f"{name}_low": low, f"{name}_high": high}

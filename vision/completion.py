@@ -1,9 +1,7 @@
-"""How far the ring is milled, read from the picture now and the picture of the unmilled skull.
-
-The crop round the ring is scaled so that the ring's radius always is ``RING_PX``: one network serves every radius.
-"""
+"""How far the ring is milled, read from the picture now and the picture of the unmilled skull, both unrolled."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Self
 
@@ -11,12 +9,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vision.runtime import WEIGHTS, Floats, Image, Network
+from vision.runtime import WEIGHTS, Image, Network
+from vision.strip import ACROSS_PX, CELL_PX, CELLS, Strip, at_points, unroll
 
-RING_PX = 48.0
-"""Radius of the ring in the network's crop."""
-CROP_PX = 160
-CELL_PX = 2.0
 MISSING = 128
 """Grey that stands for a reference picture that does not exist."""
 DRILL_NOT_EXCLUDED = 0.12
@@ -31,23 +26,37 @@ THROUGH = 0.995
 THIN = 0.99
 """The most that bone without a hole in it is said to be milled."""
 
+Floats = npt.NDArray[np.float64]
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class CompletionReading:
     """What one picture says about the ring. Completion is the share of the thickness that is gone; 1 is through."""
 
-    completion: npt.NDArray[np.float64]
+    completion: Floats
     """(n,) best estimate, 0..1."""
-    upper: npt.NDArray[np.float64]
+    upper: Floats
     """(n,) bound that the truth exceeds in at most 2.5 % of cases; never below ``completion``."""
     visible: npt.NDArray[np.bool_]
     """(n,) False where the drill hides it or it lies outside the picture: its other figures mean nothing."""
-    box_px: tuple[float, float, float, float] | None
-    """x0, y0, x1, y1 of the kerf in the picture; None while there is none."""
-    heat_map: npt.NDArray[np.float32]
-    """(h, w) completion everywhere in the crop."""
-    image_from_heat: npt.NDArray[np.float64]
-    """(2, 3) affine from (column, row) of the heat map to pixels of the picture."""
+    kerf: npt.NDArray[np.float32]
+    """Logit of kerf at each cell of the strip."""
+    depth: npt.NDArray[np.float32]
+    """Completion at each cell of the strip, whether there is a kerf or not."""
+    strip: Strip
+    """Where the strip lies in the picture."""
+    shape: tuple[int, int]
+    """Height and width of the picture."""
+
+    @cached_property
+    def box_px(self) -> tuple[float, float, float, float] | None:
+        """x0, y0, x1, y1 of the kerf in the picture; None while there is none."""
+        return box_of(self.kerf, self.strip)
+
+    @cached_property
+    def heat_map(self) -> npt.NDArray[np.float32]:
+        """(h, w) completion everywhere in the picture; 0 where there is no kerf."""
+        return self.strip.painted(np.where(self.kerf > 0, self.depth, 0.0).astype(np.float32), self.shape)
 
 
 class CompletionReader:
@@ -68,41 +77,48 @@ class CompletionReader:
         """
         return cls(Network(weights or cls.weights, "completion"))
 
-    def read(
-        self, image: Image, ring_px: npt.NDArray[np.float64], radius_px: float, *, reference: Image | None
-    ) -> CompletionReading:
-        """Read the completion at each point of the ring.
+    def over(self, ring_px: Floats, ball_px: float, *, reference: Image | None) -> "RingReader":
+        """A reader of one ring.
 
         Args:
-            image: the left picture now.
-            ring_px: (n, 2) the ring's points, as projected from the unmilled surface.
-            radius_px: the ring's radius at the picture's mean scale.
-            reference: the left picture taken just before milling; without one the reading is less sure.
+            ring_px: (n, 2) the ring's points, at equal shares of the way round, as projected from the unmilled surface.
+            ball_px: radius of the ball at the picture's scale there.
+            reference: the picture taken just before milling; without one the readings are less sure.
         """
-        crop_from_image = crop_affine(ring_px, radius_px)
-        before = None if reference is None else cut(reference, crop_from_image)
-        crop = stacked(cut(image, crop_from_image), before)
-        maps = np.asarray(self._network.run(crops=crop[None])[0][0], dtype=np.float32)
-        cells = cell_from_crop(ring_px @ crop_from_image[:, :2].T + crop_from_image[:, 2])
-        completion, upper, _, drill, through = (sample(plane, cells) for plane in maps)
+        return RingReader(self._network, ring_px, ball_px, reference)
+
+
+class RingReader:
+    """Reads one ring from picture after picture."""
+
+    def __init__(self, network: Network, ring_px: Floats, ball_px: float, reference: Image | None) -> None:
+        self._network = network
+        self._ring_px = ring_px
+        self._strip = unroll(ring_px, ball_px)
+        before = np.full((*self._strip.x_px.shape, 3), MISSING, np.uint8)
+        if reference is not None:
+            before = self._strip.cut(reference)
+        self._strips = np.concatenate([before, before], axis=2)[None]
+
+    def read(self, image: Image) -> CompletionReading:
+        """Read the completion at each point of the ring.
+
+        Raises:
+            DetectionError: the network's answer is not a number.
+        """
+        self._strips[0, ..., :3] = self._strip.cut(image)
+        (line,), (maps,) = self._network.run(strips=self._strips)
+        n = len(self._ring_px)
+        completion, upper, drill, hole = at_points(line, n)
         margin = self._network.constants.get("upper_margin", 0.0)
-        completion, upper = bounded(completion, upper + margin, probability(through))
-        height, width = image.shape[:2]
-        inside = (ring_px >= 0).all(axis=1) & (ring_px[:, 0] <= width - 1) & (ring_px[:, 1] <= height - 1)
-        image_from_heat = _image_from_heat(crop_from_image)
-        return CompletionReading(
-            completion=completion,
-            upper=upper,
-            visible=inside & (probability(drill) < DRILL_NOT_EXCLUDED),
-            box_px=_box(maps[2] > 0.0, image_from_heat),
-            heat_map=np.where(maps[2] > 0.0, maps[0], 0.0).astype(np.float32),
-            image_from_heat=image_from_heat,
-        )
+        completion, upper = bounded(completion, upper + margin, probability(hole))
+        limit = np.array([image.shape[1], image.shape[0]]) - 1
+        inside = ((self._ring_px >= 0) & (self._ring_px <= limit)).all(axis=1)
+        visible = inside & (probability(drill) < DRILL_NOT_EXCLUDED)
+        return CompletionReading(completion, upper, visible, maps[0], maps[1], self._strip, image.shape[:2])
 
 
-def bounded(
-    completion: npt.NDArray[np.float64], upper: npt.NDArray[np.float64], hole: npt.NDArray[np.float64]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def bounded(completion: Floats, upper: Floats, hole: Floats) -> tuple[Floats, Floats]:
     """Estimate and upper bound, once the network's probability of a hole has its say.
 
     How thin bone is shows in its colour only roughly; whether there is a hole in it shows plainly. So "through" is
@@ -113,72 +129,34 @@ def bounded(
     return completion, np.maximum(upper, completion)
 
 
-def crop_affine(
-    ring_px: npt.NDArray[np.float64], radius_px: float, *, side_px: int = CROP_PX
-) -> npt.NDArray[np.float64]:
-    """(2, 3) map from the picture into a crop that has the ring in its middle, ``RING_PX`` in radius."""
-    center = (ring_px.min(axis=0) + ring_px.max(axis=0)) / 2.0
-    scale = RING_PX / radius_px
-    middle = (side_px - 1) / 2.0
-    return np.array([[scale, 0.0, middle - scale * center[0]], [0.0, scale, middle - scale * center[1]]])
-
-
-def cut(image: Image, crop_from_image: npt.NDArray[np.float64], *, side_px: int = CROP_PX) -> Image:
-    """The crop; smoothed first where it shrinks the picture, so that fine texture does not alias."""
-    scale = float(crop_from_image[0, 0])
-    if scale < 0.8:
-        image = cv2.GaussianBlur(image, (0, 0), 0.4 / scale).astype(np.uint8)
-    crop = cv2.warpAffine(
-        image, crop_from_image, (side_px, side_px), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-    return crop.astype(np.uint8)
-
-
-def stacked(now: Image, before: Image | None) -> Image:
-    """(S, S, 6): the picture now and the one before milling."""
-    if before is None:
-        before = np.full_like(now, MISSING)
-    return np.concatenate([now, before], axis=2)
-
-
-def cell_from_crop(points_px: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Pixels of the crop to cells of the maps."""
-    return (points_px - 0.5) / CELL_PX
-
-
-def sample(plane: Floats, cells: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Bilinear values of a map at (n, 2) places."""
-    x, y = (cells[:, axis].astype(np.float32).reshape(-1, 1) for axis in (0, 1))
-    return cv2.remap(plane.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0].astype(
-        np.float64
-    )
-
-
-def probability(logit: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def probability(logit: Floats) -> Floats:
     """Of a logit."""
     return np.asarray(1.0 / (1.0 + np.exp(-logit)), dtype=np.float64)
 
 
-def _image_from_heat(crop_from_image: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    image_from_crop = cv2.invertAffineTransform(crop_from_image)
-    crop_from_cell = np.array([[CELL_PX, 0.0, 0.5], [0.0, CELL_PX, 0.5], [0.0, 0.0, 1.0]])
-    return np.asarray(image_from_crop @ crop_from_cell, dtype=np.float64)
+def box_of(kerf: npt.NDArray[np.floating], strip: Strip) -> tuple[float, float, float, float] | None:
+    """x0, y0, x1, y1 in the picture round the cells of the strip where ``kerf`` is above 0; None where none is.
 
-
-def box_of(kerf: npt.NDArray[np.bool_]) -> tuple[float, float, float, float] | None:
-    """x0, y0, x1, y1 round the cells that are True, in cells; None where none is."""
-    rows, columns = np.nonzero(kerf)
-    if len(rows) == 0:
+    The border lies where ``kerf`` passes through 0 between two cells across the strip.
+    """
+    columns = np.flatnonzero((kerf > 0).any(axis=0))
+    if len(columns) == 0:
         return None
-    x0, y0, x1, y1 = columns.min() - 0.5, rows.min() - 0.5, columns.max() + 0.5, rows.max() + 0.5
-    return float(x0), float(y0), float(x1), float(y1)
+    rows = np.arange(CELLS[0])
+    there = kerf[:, columns] > 0
+    first, last = there.argmax(axis=0), CELLS[0] - 1 - there[::-1].argmax(axis=0)
+    edges = []
+    for edge, beyond in ((first, first - 1), (last, last + 1)):
+        inner = kerf[edge, columns]
+        outer = kerf[np.clip(beyond, 0, CELLS[0] - 1), columns]
+        share = np.where((beyond >= 0) & (beyond < CELLS[0]), inner / np.maximum(inner - outer, 1e-6), 0.5)
+        edges.append(rows[edge] + (beyond - edge) * share)
+    across = (np.concatenate(edges) * CELL_PX[0] + (CELL_PX[0] - 1) / 2).astype(np.float32)
+    along = np.tile(columns * CELL_PX[1] + (CELL_PX[1] - 1) / 2, 2).astype(np.float32)
+    x, y = (_at(plane, across, along) for plane in (strip.x_px, strip.y_px))
+    return float(x.min()), float(y.min()), float(x.max()), float(y.max())
 
 
-def _box(
-    kerf: npt.NDArray[np.bool_], image_from_heat: npt.NDArray[np.float64]
-) -> tuple[float, float, float, float] | None:
-    box = box_of(kerf)
-    if box is None:
-        return None
-    (x0, y0), (x1, y1) = np.array(box).reshape(2, 2) @ image_from_heat[:, :2].T + image_from_heat[:, 2]
-    return (float(x0), float(y0), float(x1), float(y1))
+def _at(plane: npt.NDArray[np.float32], rows: npt.NDArray[np.float32], columns: npt.NDArray[np.float32]) -> Floats:
+    rows = np.clip(rows, 0, ACROSS_PX - 1)
+    return np.asarray(cv2.remap(plane, columns[:, None], rows[:, None], cv2.INTER_LINEAR)[:, 0], dtype=np.float64)

@@ -1,7 +1,7 @@
 """What the completion network learns from, and how it is judged.
 
-The label of a ring point is the bone removed along the kerf's centre line, painted over a band as wide as the error
-that the surface and the calibration may put into the ring: the reading must not hinge on a pixel.
+The label of a place along the strip is the bone removed along the kerf's centre line there, wherever across the strip
+the kerf lies: the reading must not hinge on a pixel.
 """
 
 from collections.abc import Mapping
@@ -15,54 +15,63 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from vision.completion import (
-    CROP_PX,
     DRILL_NOT_EXCLUDED,
     HOLE_NOT_EXCLUDED,
     MISSING,
     THROUGH,
     bounded,
     box_of,
-    cell_from_crop,
     probability,
-    sample,
 )
-from vision.networks import CELL_PX, CompletionNet
-from vision.runtime import Floats, Network
+from vision.completion_network import CompletionNet
+from vision.runtime import Floats, Image, Network
 from vision.samples import Arrays, Data, relit
 from vision.scores import IOU_STEPS, average_precision, by_tenths, iou
+from vision.strip import ACROSS_PX, ALONG_PX, CELL_PX, CELLS, unroll
 from vision.training import Batch, Recipe, Worst
 
-STORED_PX = 192
-"""Side of the stored crops: wider than the network's, for jitter."""
+STORED_PX = 64
+"""Rows of the stored strips: more than the network's, for rings that lie off the kerf."""
+SPARE_PX = (STORED_PX - ACROSS_PX) // 2
+OFF_PX = 2.0
+"""How far rings lie off the kerf in training (standard deviation of each coordinate of the middle, in strip pixels)."""
 BOUND = 0.975
 """Share of truths that the upper bound must cover."""
 CAUTION = 0.98
 """Share it is calibrated for, so that another set of specimens still is covered."""
-BAND_CELLS = 4
-RELIT = 0.5
-"""Share of the crops that are seen under another light than the one they were rendered in."""
-COMPLETION, RING, DRILL, KERF, HOLE = range(5)
-"""Planes of ``labels``."""
-
+RELIT = 0.6
+"""Share of the strips that are seen under another light than the one they were rendered in."""
+GREY = 0.15
+"""Share whose colours are faded, all the way to grey."""
+LEAST_TRUTH = 0.1
+"""Errors count in relation to the true completion, but to no less than this."""
+KERF_FROM = 0.02
+"""Completion from which there is a kerf."""
+LEVELS = 250.0
+HIDDEN = 255
+"""In ``maps``: the value of completion 1, and that of a pixel that the drill hides."""
 
 _ARRAYS: Arrays = {
-    "crops": ((STORED_PX, STORED_PX, 6), "u"),
-    "labels": ((STORED_PX // 2, STORED_PX // 2, 5), "u"),
-    "rings_px": ((None, 2), "f"),
-    "completions": ((None,), "f"),
-    "hidden": ((None,), "b"),
+    "strips": ((STORED_PX, ALONG_PX, 6), "u"),
+    "maps": ((STORED_PX, ALONG_PX), "u"),
+    "completions": ((CELLS[1],), "f"),
+    "hidden": ((CELLS[1],), "b"),
+    "rings_px": ((CELLS[1], 2), "f"),
+    "balls_px": ((), "f"),
+    "boxes_px": ((4,), "f"),
 }
 
 
 class CompletionTask:
     """Read the ring.
 
-    Data: ``crops`` (N, 192, 192, 6) uint8, ``labels`` (N, 96, 96, 5) uint8 (completion x 250, then flags: ring band,
-    drill, kerf, through), ``rings_px`` (N, n, 2) px of the crop, ``completions`` (N, n), ``hidden`` (N, n) bool.
+    Data: ``strips`` (N, 64, 320, 6) uint8, now and before; ``maps`` (N, 64, 320) uint8, completion x 250, 255 under the
+    drill; at the middle of each cell along the strip ``completions`` (N, 80), ``hidden`` (N, 80) bool and ``rings_px``
+    (N, 80, 2) px of the picture; ``balls_px`` (N,); ``boxes_px`` (N, 4) of the kerf, NaN where there is none.
     """
 
     name = "completion"
-    recipes: Mapping[str, Recipe] = {"default": Recipe(steps=2500, batch=16, learning_rate=2e-3)}
+    recipes: Mapping[str, Recipe] = {"default": Recipe(steps=3000, batch=24, learning_rate=3e-3)}
 
     arrays = _ARRAYS
 
@@ -71,61 +80,45 @@ class CompletionTask:
         return CompletionNet()
 
     def batch(self, data: Data, size: int, rng: np.random.Generator) -> Batch:
-        """Crops with the ring off its middle, under changed light, some of them without a reference."""
-        crops, labels = [], []
-        spare = (STORED_PX - CROP_PX) // CELL_PX
-        for index in rng.integers(len(data["crops"]), size=size):
-            middle = spare / 2
-            row, column = (int(np.clip(round(rng.normal(middle, 1.5)), 0, spare)) for _ in range(2))
-            y, x = row * CELL_PX, column * CELL_PX
-            crop = np.asarray(data["crops"][index, y : y + CROP_PX, x : x + CROP_PX])
-            label = np.asarray(
-                data["labels"][index, row : row + CROP_PX // CELL_PX, column : column + CROP_PX // CELL_PX]
-            )
-            if rng.random() < 0.5:
-                crop, label = crop[:, ::-1], label[:, ::-1]
-            seed = int(rng.integers(2**31))
-            # Light that changes between the days changes both pictures; light that drifts, only one.
-            both = [crop[..., :3], crop[..., 3:]]
-            if rng.random() < RELIT:
-                both = [relit(part, np.random.default_rng(seed)) for part in both]
-            if rng.random() < 0.3:
-                both[0] = _drifted(both[0], rng)
-            if rng.random() < 0.05:
-                both[1] = np.full_like(both[1], MISSING)
-            crops.append(np.concatenate(both, axis=2))
-            labels.append(label)
+        """Strips that begin anywhere on the ring and lie off the kerf, under changed light, some without reference."""
+        chosen = [_sample(data, int(index), rng) for index in rng.integers(len(data["strips"]), size=size)]
+        strips, maps, completions, hidden = (np.stack(values) for values in zip(*chosen, strict=True))
         return {
-            "crops": torch.from_numpy(np.stack(crops)),
-            "labels": torch.from_numpy(np.stack(labels).transpose(0, 3, 1, 2).copy()).float(),
+            "strips": torch.from_numpy(strips),
+            "maps": torch.from_numpy(maps),
+            "completions": torch.from_numpy(completions),
+            "hidden": torch.from_numpy(hidden),
         }
 
     def loss(self, network: nn.Module, batch: Batch) -> Tensor:
-        """Completion, its quantile, and what is kerf, drill and hole."""
-        maps = network(batch["crops"]).float()
-        labels = batch["labels"]
-        truth = labels[:, COMPLETION] / 250.0
-        shown = 1.0 - labels[:, DRILL]
-        weight = shown * (labels[:, RING] + 0.1 * labels[:, KERF] + 0.02)
+        """Completion, its quantile, what is drill and hole along the ring; kerf and completion across it."""
+        line, maps = (answer.float() for answer in network(batch["strips"]))
+        truth, shown = batch["completions"], 1.0 - batch["hidden"]
+        weight = shown / (truth + LEAST_TRUTH)
         weight = weight / weight.sum()
-        estimate = (functional.smooth_l1_loss(maps[:, 0], truth, beta=0.05, reduction="none") * weight).sum()
-        short = truth - (maps[:, 0].detach() + maps[:, 1] - maps[:, 0])
-        pinball = (torch.maximum(BOUND * short, (BOUND - 1.0) * short) * weight).sum()
-        kerf = functional.binary_cross_entropy_with_logits(maps[:, 2], labels[:, KERF])
-        drill = functional.binary_cross_entropy_with_logits(maps[:, 3], labels[:, DRILL])
-        through = functional.binary_cross_entropy_with_logits(maps[:, 4], labels[:, HOLE], reduction="none")
-        return 4.0 * estimate + 4.0 * pinball + 0.3 * kerf + 0.5 * drill + (through * weight).sum()
+        estimate = (functional.smooth_l1_loss(line[:, 0], truth, beta=0.01, reduction="none") * weight).sum()
+        short = truth - (line[:, 0].detach() + line[:, 1] - line[:, 0])
+        bound = (torch.maximum(BOUND * short, (BOUND - 1.0) * short) * weight).sum()
+        drill = functional.binary_cross_entropy_with_logits(line[:, 2], batch["hidden"])
+        hole = functional.binary_cross_entropy_with_logits(line[:, 3], (truth >= 0.999).float(), reduction="none")
+        along = (hole * shown).sum() / shown.sum().clamp(min=1)
+        seen = batch["maps"] <= 1.0
+        kerf = (batch["maps"] > KERF_FROM) & seen
+        drawn = functional.binary_cross_entropy_with_logits(maps[:, 0], kerf.float(), reduction="none")
+        drawn = (drawn * seen).sum() / seen.sum().clamp(min=1)
+        depth = ((maps[:, 1] - batch["maps"]).abs() * kerf).sum() / kerf.sum().clamp(min=1)
+        total: Tensor = 10.0 * estimate + 4.0 * bound + along + 0.5 * drill + 0.5 * drawn + 0.3 * depth
+        return total
 
     def example(self, data: Data) -> dict[str, Tensor]:
-        """A crop."""
-        first = (STORED_PX - CROP_PX) // 2
-        return {"crops": torch.from_numpy(data["crops"][:1, first : first + CROP_PX, first : first + CROP_PX].copy())}
+        """A strip."""
+        return {"strips": torch.from_numpy(data["strips"][:1, SPARE_PX:-SPARE_PX].copy())}
 
     def calibrate(self, network: Network, data: Data) -> dict[str, float]:
         """``upper_margin``: what must be added to the quantile head so that held-out truth stays below (conformal)."""
         read = self._read(network, data)
         seen = ~read["hidden"].astype(bool)
-        short = np.where(read["through"] >= HOLE_NOT_EXCLUDED, -1.0, read["truth"] - read["upper"])[seen]
+        short = np.where(read["hole"] >= HOLE_NOT_EXCLUDED, -1.0, read["truth"] - read["upper"])[seen]
         # Truth of 1 is bounded by 1 whatever is added, so a bound may fall short there only by missing the hole.
         return {"upper_margin": float(np.quantile(short, CAUTION))}
 
@@ -137,9 +130,9 @@ class CompletionTask:
         read = self._read(network, data)
         seen = ~read["hidden"].astype(bool)
         margin = network.constants.get("upper_margin", 0.0)
-        covered = probability(read["drill"]) >= DRILL_NOT_EXCLUDED
+        covered = read["drill"] >= DRILL_NOT_EXCLUDED
         truth, estimate = read["truth"][seen], read["completion"][seen]
-        estimate, upper = bounded(estimate, read["upper"][seen] + margin, read["through"][seen])
+        estimate, upper = bounded(estimate, read["upper"][seen] + margin, read["hole"][seen])
         boxes = read["box_iou"], read["box_score"], int(read["has_box"].sum())
         hole, bone, begun = truth >= 0.999, truth <= 0.85, truth >= 0.05
         return {
@@ -151,93 +144,98 @@ class CompletionTask:
             "penetration_false_alarm": _mean(estimate[bone] >= THROUGH),
             "hidden_recall": _mean(covered[~seen]),
             "hidden_false_alarm": _mean(covered[seen]),
-            "kerf_iou": _mean(read["iou"]),
             "box_ap50": average_precision(*boxes, 0.5),
             "box_ap50_95": float(np.mean([average_precision(*boxes, step) for step in IOU_STEPS])),
             **by_tenths(estimate - truth, truth),
-            "rings": float(len(data["crops"])),
+            "rings": float(len(data["strips"])),
         }
 
     def worst(self, network: Network, data: Data, count: int) -> list[Worst]:
-        """The ring's crop: each point's colour is its error, from green (none) to red (0.3 and more)."""
+        """The strip: each place's colour is its error, from green (none) to red (0.3 and more)."""
         read = self._read(network, data)
         seen = ~read["hidden"].astype(bool)
-        estimate, _ = bounded(read["completion"], read["upper"], read["through"])
+        estimate, _ = bounded(read["completion"], read["upper"], read["hole"])
         errors = np.where(seen, estimate - read["truth"], 0.0)
         squares = (errors**2).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
         cases = []
         for index in np.argsort(squares)[::-1][:count]:
-            crop = np.asarray(data["crops"][index, ..., :3])
-            large = cv2.resize(crop, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC).astype(np.uint8)
-            for place, error, shown in zip(data["rings_px"][index], errors[index], seen[index], strict=True):
-                share = min(abs(float(error)) / 0.3, 1.0)
-                color = (round(255 * share), round(255 * (1 - share)), 60) if shown else (128, 128, 128)
-                cv2.circle(large, (round(2 * float(place[0])), round(2 * float(place[1]))), 3, color, -1, cv2.LINE_AA)
-            cases.append(Worst(large, f"ring {index}: RMSE {np.sqrt(squares[index]):.3f} (grey: hidden)"))
+            share = np.minimum(np.abs(errors[index]) / 0.3, 1.0)
+            colors = np.stack([255 * share, 255 * (1 - share), np.full_like(share, 60)], axis=1)
+            colors[~seen[index]] = 128
+            bar = np.repeat(np.repeat(colors.astype(np.uint8)[None], CELL_PX[1], axis=1), 8, axis=0)
+            strip = np.asarray(data["strips"][index])
+            picture = cv2.resize(np.concatenate([bar, strip[..., :3], strip[..., 3:]]), None, fx=2, fy=2)
+            caption = f"ring {index}, now and before: RMSE {np.sqrt(squares[index]):.3f} (grey: hidden)"
+            cases.append(Worst(picture.astype(np.uint8), caption))
         return cases
 
     def _read(self, network: Network, data: Data) -> dict[str, npt.NDArray[Any]]:
-        first = (STORED_PX - CROP_PX) // 2
-        cell = first // CELL_PX
-        names = ("completion", "upper", "kerf", "drill", "through")
-        read: dict[str, list[Any]] = {name: [] for name in (*names, "iou", "box_iou", "box_score", "has_box")}
-        for index in range(len(data["crops"])):
-            crop = np.asarray(data["crops"][index, first : first + CROP_PX, first : first + CROP_PX])
-            maps = network.run(crops=crop[None])[0][0]
-            cells = cell_from_crop(np.asarray(data["rings_px"][index]) - first)
-            for name, plane in zip(names, maps, strict=True):
-                read[name].append(sample(plane, cells))
-            kerf = np.asarray(data["labels"][index, cell:-cell, cell:-cell, KERF]) > 0
-            found, true = box_of(maps[2] > 0), box_of(kerf)
-            read["has_box"].append(true is not None)
+        names = ("completion", "upper", "drill", "hole")
+        read: dict[str, list[Any]] = {name: [] for name in (*names, "box_iou", "box_score", "has_box")}
+        for index in range(len(data["strips"])):
+            strip = np.asarray(data["strips"][index, SPARE_PX:-SPARE_PX])
+            (line,), (maps,) = network.run(strips=strip[None])
+            for name, values in zip(names, line, strict=True):
+                read[name].append(values)
+            found = box_of(maps[0], unroll(data["rings_px"][index], float(data["balls_px"][index])))
+            true = np.asarray(data["boxes_px"][index])
+            has = bool(np.isfinite(true).all())
+            read["has_box"].append(has)
             if found is not None:
-                read["box_iou"].append(iou(found, true) if true is not None else 0.0)
-                read["box_score"].append(float(probability(maps[2][maps[2] > 0]).mean()))
-            if kerf.any():
-                read["iou"].append((kerf & (maps[2] > 0)).sum() / (kerf | (maps[2] > 0)).sum())
-        result = {name: np.array(values) for name, values in read.items()}
+                x0, y0, x1, y1 = (float(value) for value in true)
+                read["box_iou"].append(iou(found, (x0, y0, x1, y1)) if has else 0.0)
+                read["box_score"].append(float(probability(maps[0][maps[0] > 0]).mean()))
+        result = {name: np.array(values, dtype=np.float64) for name, values in read.items()}
         return {
             **result,
-            "through": probability(result["through"]),
+            "drill": probability(result["drill"]),
+            "hole": probability(result["hole"]),
             "truth": np.asarray(data["completions"]),
             "hidden": np.asarray(data["hidden"]),
         }
 
 
-def paint_labels(
-    ring_px: npt.NDArray[np.float64],
-    completion: npt.NDArray[np.float64],
-    completion_map: Floats,
-    drill: npt.NDArray[np.bool_],
-) -> npt.NDArray[np.uint8]:
-    """Label planes of one stored crop.
-
-    Args:
-        ring_px: (n, 2) true centre line of the kerf in pixels of the crop.
-        completion: (n,) removed share at each point.
-        completion_map: (96, 96) removed share at each place, 0 where nothing is.
-        drill: (96, 96) where the drill hides the bone.
-    """
-    cells = cell_from_crop(ring_px)
-    label = np.zeros((*completion_map.shape, 5), np.uint8)
-    label[..., COMPLETION] = np.round(250 * np.clip(completion_map, 0, 1))
-    rows, columns = np.mgrid[: completion_map.shape[0], : completion_map.shape[1]]
-    grid = np.stack([columns.ravel(), rows.ravel()], axis=1)
-    distance = np.hypot(grid[:, None, 0] - cells[None, :, 0], grid[:, None, 1] - cells[None, :, 1])
-    nearest = distance.argmin(axis=1)
-    band = (distance.min(axis=1) <= BAND_CELLS).reshape(rows.shape)
-    along = completion[nearest].reshape(rows.shape)
-    label[..., COMPLETION][band] = np.round(250 * along[band])
-    label[..., RING] = band
-    label[..., DRILL] = drill
-    label[..., KERF] = completion_map > 0.02
-    label[..., HOLE] = np.where(band, along >= 0.999, completion_map >= 0.999)
-    return label
+def _sample(data: Data, index: int, rng: np.random.Generator) -> tuple[Image, Floats, Floats, Floats]:
+    """One strip (48, 320, 6) with its map in cells, its completions and what is hidden along it."""
+    stored, map_ = np.asarray(data["strips"][index]), np.asarray(data["maps"][index])
+    angle = np.arange(ALONG_PX) * 2 * np.pi / ALONG_PX
+    sigma = OFF_PX * rng.choice([1.0, 2.0], p=[0.8, 0.2])
+    radius, x, y = rng.normal(0.0, sigma * np.array([0.5, 1.0, 1.0]))
+    off = np.clip(radius + x * np.cos(angle) + y * np.sin(angle), -SPARE_PX, SPARE_PX)
+    rows = (np.arange(ACROSS_PX)[:, None] + SPARE_PX + off[None]).astype(np.float32)
+    columns = np.broadcast_to(np.arange(ALONG_PX, dtype=np.float32), rows.shape).copy()
+    now, before = (cv2.remap(stored[..., part], columns, rows, cv2.INTER_LINEAR) for part in (_NOW, _BEFORE))
+    now, before = _seen_otherwise(now.astype(np.uint8), before.astype(np.uint8), rng)
+    nearest = cv2.remap(map_, columns, rows, cv2.INTER_NEAREST)
+    middle = nearest[CELL_PX[0] // 2 :: CELL_PX[0], CELL_PX[1] // 2 :: CELL_PX[1]]
+    cells = np.where(middle == HIDDEN, 2.0, middle / LEVELS)
+    along = [data["completions"][index], data["hidden"][index]]
+    begin, backwards = int(rng.integers(CELLS[1])), rng.random() < 0.5
+    strip = np.roll(np.concatenate([now, before], axis=2), begin * CELL_PX[1], axis=1)
+    turned = [np.roll(values, begin, axis=-1).astype(np.float32) for values in (cells, *along)]
+    if backwards:
+        strip, turned = strip[:, ::-1], [values[..., ::-1] for values in turned]
+    return (np.ascontiguousarray(strip), *(np.ascontiguousarray(values) for values in turned))  # type: ignore[return-value]
 
 
-def _drifted(picture: npt.NDArray[np.uint8], rng: np.random.Generator) -> npt.NDArray[np.uint8]:
-    gain = np.exp(rng.normal(0.0, 0.04) + rng.normal(0.0, 0.02, size=3))
-    return np.asarray(cv2.convertScaleAbs(picture * gain[None, None, :].astype(np.float32)), dtype=np.uint8)
+_NOW, _BEFORE = slice(0, 3), slice(3, 6)
+
+
+def _seen_otherwise(now: Image, before: Image, rng: np.random.Generator) -> tuple[Image, Image]:
+    """Light that changes between the days changes both pictures; light that drifts, only one."""
+    both = np.concatenate([now, before])
+    if rng.random() < RELIT:
+        both = relit(both, rng)
+    if rng.random() < GREY:
+        share = rng.uniform(0.3, 1.0)
+        both = (both * (1.0 - share) + both.mean(axis=2, keepdims=True) * share).astype(np.uint8)
+    now, before = both[:ACROSS_PX], both[ACROSS_PX:]
+    if rng.random() < 0.3:
+        gain = np.exp(rng.normal(0.0, 0.04) + rng.normal(0.0, 0.02, size=3)).astype(np.float32)
+        now = np.asarray(cv2.convertScaleAbs(now * gain), dtype=np.uint8)
+    if rng.random() < 0.05:
+        before = np.full_like(before, MISSING)
+    return now, before
 
 
 def _mean(values: npt.ArrayLike) -> float:

@@ -5,8 +5,8 @@ millimetre. The right picture is first warped to the left one's rows by an affin
 small: the relief of the bone.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -30,6 +30,10 @@ SIGMA_SCALE = 1.5
 """Measured on rendered skulls: what differs within a patch is not independent from pixel to pixel."""
 SLOW_PX = 4.0
 """Wider structures are taken out: light, and what shines through from under the bone and so lies too deep."""
+WORSE = 2.0
+"""A view of the colours that is less sure than grey by more than this tells nothing: there is no colour in it."""
+LEAST_FOR_DOME = 200
+"""Matches from which the dome is taken out."""
 PATCH_PX = 9
 MARGIN_PX = 48
 _SPREAD = 48.0
@@ -80,59 +84,151 @@ def match(
     )
     if inner[2] - inner[0] < PATCH_PX or inner[3] - inner[1] < PATCH_PX:
         return _nothing()
-    near = left[outer[1] : outer[3], outer[0] : outer[2]]
-    shift = affine @ np.array([[1.0, 0.0, outer[0]], [0.0, 1.0, outer[1]], [0.0, 0.0, 1.0]])
-    size = (outer[2] - outer[0], outer[3] - outer[1])
-    warped = cv2.warpAffine(right, shift, size, flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, borderValue=(0, 0, 0))
-    seen = cv2.warpAffine(
-        np.full(right.shape[:2], 255, np.uint8), shift, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-    )
-    glare = cv2.dilate((near.min(axis=2) >= GLARE).astype(np.uint8), np.ones((5, 5), np.uint8))
-    glare_right = cv2.dilate((warped.min(axis=2) >= GLARE).astype(np.uint8), np.ones((5, 5), np.uint8))
+    window = left[outer[1] : outer[3], outer[0] : outer[2]]
+    frame = _Frame(affine, outer)
+    first = _compared(window, right, frame, inner)
+    if len(first.at_px) < LEAST_FOR_DOME:
+        return first.matches(frame)
+    # What smooths a dome lays it too low: with the dome taken out of the picture there is nothing left to bend.
+    domed = replace(frame, dome=_dome(first, frame))
+    return _compared(window, right, domed, inner).matches(domed)
 
-    one, two = _even(near), _even(warped.astype(np.uint8))
-    flow = _flow(one, two)
-    back = _flow(two, one)
 
-    rows, columns = np.mgrid[
-        inner[1] - outer[1] : inner[3] - outer[1] : STEP_PX, inner[0] - outer[0] : inner[2] - outer[0] : STEP_PX
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """Where the right picture shows what a window of the left one shows, as far as it is known."""
+
+    affine: npt.NDArray[np.float64]
+    outer: tuple[int, int, int, int]
+    """x0, y0, x1, y1 of the window in the left picture."""
+    dome: npt.NDArray[np.float64] | None = None
+    """(terms, 2) shift within the window before ``affine``, see ``_terms``."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the window."""
+        return self.outer[2] - self.outer[0], self.outer[3] - self.outer[1]
+
+    def right_px(self, at_px: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """(n, 2) in the right picture of (n, 2) in the window."""
+        moved = at_px if self.dome is None else at_px + _terms(at_px, self.size) @ self.dome
+        return np.asarray((moved + self.outer[:2]) @ self.affine[:, :2].T + self.affine[:, 2])
+
+    def warped(self, right: Image) -> tuple[Image, npt.NDArray[np.bool_]]:
+        """The right picture as the window would show it, and where there is one."""
+        rows, columns = np.mgrid[: self.size[1], : self.size[0]]
+        places = self.right_px(np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float64))
+        x, y = (places[:, k].reshape(rows.shape).astype(np.float32) for k in (0, 1))
+        seen = (x >= 0) & (y >= 0) & (x <= right.shape[1] - 1) & (y <= right.shape[0] - 1)
+        return cv2.remap(right, x, y, cv2.INTER_CUBIC, borderValue=(0, 0, 0)).astype(np.uint8), seen
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """(n, 2) places in the window and in the warped right picture that match, and the error to expect."""
+
+    at_px: npt.NDArray[np.float64]
+    to_px: npt.NDArray[np.float64]
+    sigma_px: npt.NDArray[np.float64]
+
+    def matches(self, frame: _Frame) -> Matches:
+        """The same in pixels of both pictures."""
+        return Matches(self.at_px + frame.outer[:2], frame.right_px(self.to_px), self.sigma_px)
+
+
+def _compared(left: Image, right: Image, frame: _Frame, inner: tuple[int, int, int, int]) -> _Pairs:
+    """Match the window in each of ``VIEWS``; what they tell is put side by side."""
+    warped, seen = frame.warped(right)
+    grid = np.mgrid[
+        inner[1] - frame.outer[1] : inner[3] - frame.outer[1] : STEP_PX,
+        inner[0] - frame.outer[0] : inner[2] - frame.outer[0] : STEP_PX,
     ]
-    x, y = columns.ravel(), rows.ravel()
+    y, x = (axis.ravel() for axis in grid)
+    clear, clear_right = ~_glares(left), ~_glares(warped) & seen
+    found = [_in_view(_even(view(left)), _even(view(warped)), x, y, clear, clear_right) for view in VIEWS]
+    grey = found[0]
+    told = [view for view in found if view is grey or _median(view.sigma_px) <= WORSE * _median(grey.sigma_px)]
+    return _Pairs(*(np.concatenate([getattr(view, name) for view in told]) for name in ("at_px", "to_px", "sigma_px")))
+
+
+def _in_view(
+    one: npt.NDArray[np.uint8],
+    two: npt.NDArray[np.uint8],
+    x: npt.NDArray[np.intp],
+    y: npt.NDArray[np.intp],
+    clear: npt.NDArray[np.bool_],
+    clear_right: npt.NDArray[np.bool_],
+) -> _Pairs:
+    """Those (x, y) that match without doubt."""
+    size = (one.shape[1], one.shape[0])
+    flow, back = _flow(one, two), _flow(two, one)
     there = flow[y, x].astype(np.float64)
-    target = np.stack([x + there[:, 0], y + there[:, 1]], axis=1)
+    at = np.stack([x, y], axis=1).astype(np.float64)
+    target = at + there
     returned = cv2.remap(
         back, target[:, 0].astype(np.float32), target[:, 1].astype(np.float32), cv2.INTER_LINEAR, borderValue=(1e3, 1e3)
     ).reshape(-1, 2)
     miss = np.hypot(*(there + returned).T)
     landing = np.clip(np.round(target).astype(int), 0, np.array(size) - 1)
-    good = (
-        (miss < AGREE_PX)
-        & (glare[y, x] == 0)
-        & (glare_right[landing[:, 1], landing[:, 0]] == 0)
-        & (seen[landing[:, 1], landing[:, 0]] > 0)
-    )
+    good = (miss < AGREE_PX) & clear[y, x] & clear_right[landing[:, 1], landing[:, 0]]
     if not good.any():
-        return _nothing()
+        return _Pairs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
     good &= np.abs(there[:, 1] - np.median(there[good, 1])) < ROW_PX
     unexplained = _unexplained(one, two, flow)
     good &= unexplained[y, x] < UNEXPLAINED * _SPREAD**2
     sigma = _sigma(one, unexplained[y, x], x, y, miss)
-    good &= _near_surface(x / size[0], y / size[1], there[:, 0], good)
-    left_px = np.stack([x + outer[0], y + outer[1]], axis=1).astype(np.float64)[good]
-    right_px = target[good] @ shift[:, :2].T + shift[:, 2]
-    return Matches(left_px=left_px, right_px=right_px, sigma_px=sigma[good])
+    good &= _near_surface(_terms(at, size), there[:, 0], good)
+    return _Pairs(at[good], target[good], sigma[good])
+
+
+def _median(values: npt.NDArray[np.float64]) -> float:
+    return float(np.median(values)) if len(values) else np.inf
+
+
+def _terms(at_px: npt.NDArray[np.float64], size: tuple[int, int]) -> npt.NDArray[np.float64]:
+    """(n, terms) of a cubic over the window."""
+    x, y = at_px[:, 0] / size[0], at_px[:, 1] / size[1]
+    return np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
+
+
+def _dome(pairs: _Pairs, frame: _Frame) -> npt.NDArray[np.float64]:
+    """(terms, 2) of the smooth shift that the pairs tell of."""
+    shift = pairs.to_px - pairs.at_px
+    return np.asarray(np.linalg.lstsq(_terms(pairs.at_px, frame.size), shift, rcond=None)[0])
+
+
+def _glares(picture: Image) -> npt.NDArray[np.bool_]:
+    return cv2.dilate((picture.min(axis=2) >= GLARE).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
 
 
 def _nothing() -> Matches:
     return Matches(left_px=np.zeros((0, 2)), right_px=np.zeros((0, 2)), sigma_px=np.zeros(0))
 
 
-def _even(picture: Image) -> npt.NDArray[np.uint8]:
-    """Grey, with the slow change of light taken out: the two eyes see it differently."""
-    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    slow = cv2.GaussianBlur(grey, (0, 0), SLOW_PX)
-    spread = np.sqrt(cv2.GaussianBlur((grey - slow) ** 2, (0, 0), 12.0)) + 1.0
-    return np.clip(128.0 + _SPREAD * (grey - slow) / spread, 0, 255).astype(np.uint8)
+def _grey(picture: Image) -> npt.NDArray[np.float32]:
+    return cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
+
+
+def _without(channel: int) -> Callable[[Image], npt.NDArray[np.float32]]:
+    """Red less another channel, in linear light: highlights, being white, are not in it."""
+    linear = (256.0 * (np.arange(256) / 255.0) ** 2.2).astype(np.float32)
+
+    def view(picture: Image) -> npt.NDArray[np.float32]:
+        return np.asarray(linear[picture[..., 0]] - linear[picture[..., channel]], dtype=np.float32)
+
+    return view
+
+
+VIEWS = (_grey, _without(1), _without(2))
+"""A highlight on a dome is the light's mirror image below it: it matches, and lies too deep. Grey has the least noise,
+the differences of colours have no highlights; what is wrong with one is not wrong with the others."""
+
+
+def _even(view: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
+    """With the slow change of light taken out, which the two eyes see differently, and of one contrast everywhere."""
+    slow = cv2.GaussianBlur(view, (0, 0), SLOW_PX)
+    spread = np.sqrt(cv2.GaussianBlur((view - slow) ** 2, (0, 0), 12.0)) + 1.0
+    return np.clip(128.0 + _SPREAD * (view - slow) / spread, 0, 255).astype(np.uint8)
 
 
 def _flow(one: npt.NDArray[np.uint8], two: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
@@ -166,18 +262,15 @@ def _sigma(
     """Least-squares error of a shift along x: what the patch leaves unexplained over the slope it has to hold on to."""
     slope = cv2.Scharr(one, cv2.CV_32F, 1, 0, scale=1.0 / 32.0) ** 2
     hold = cv2.boxFilter(slope, -1, (PATCH_PX, PATCH_PX)) * PATCH_PX**2
-    variance = SIGMA_SCALE**2 * unexplained / (hold[y, x] + 1.0) + 0.5 * miss**2 + 0.05**2
+    # Whole numbers are off by a third; where there is no slope at all, not even that can be told from a shift.
+    variance = SIGMA_SCALE**2 * (unexplained + 0.3) / (hold[y, x] + 0.3) + 0.5 * miss**2 + 0.05**2
     return np.asarray(np.sqrt(variance), dtype=np.float64)
 
 
 def _near_surface(
-    x: npt.NDArray[np.float64],
-    y: npt.NDArray[np.float64],
-    disparity: npt.NDArray[np.float64],
-    good: npt.NDArray[np.bool_],
+    terms: npt.NDArray[np.float64], disparity: npt.NDArray[np.float64], good: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.bool_]:
     """Whether each match lies near one cubic surface, fitted to those that agree with it."""
-    terms = np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
     kept = good.copy()
     near = kept
     for limit in (4.0 * RELIEF_PX, 2.0 * RELIEF_PX, RELIEF_PX, RELIEF_PX):

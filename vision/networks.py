@@ -1,4 +1,4 @@
-"""The two networks, in torch: what `mill train` trains and exports. Running them needs only `vision.runtime`."""
+"""What the networks are made of, and the tip's, in torch. To run one, `vision.runtime` is enough."""
 
 from typing import cast
 
@@ -97,23 +97,6 @@ class KeypointNet(nn.Module):
         ]
         maps = [self.fine(crop)[:, 3 * k : 3 * k + 3] for k, crop in enumerate(crops)]
         return corners, torch.cat(maps)
-
-
-class CompletionNet(nn.Module):
-    """Reads how far each place of the kerf is milled, from the picture now and the picture before milling.
-
-    Six channels in; six maps out, see ``vision.completion``.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.body = UNet(6, 5, (16, 24, 40, 64))
-
-    def forward(self, crops: Tensor) -> Tensor:
-        """(N, S, S, 6) uint8 -> (N, 5, S/2, S/2): completion, upper bound, and logits of kerf, drill, penetration."""
-        maps = self.body(normalized(crops.permute(0, 3, 1, 2).float()))
-        completion = torch.sigmoid(maps[:, :1])
-        return torch.cat([completion, completion + functional.softplus(maps[:, 1:2]), maps[:, 2:]], dim=1)
 
 
 def reduced(x: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,35 @@ def test_what_is_saved_is_what_is_loaded(calibration, path):
     assert loaded.provenance == calibration.provenance
     assert (loaded.model, loaded.recipe, loaded.rmse_mm) == (calibration.model, "default", calibration.rmse_mm)
     assert loaded.predicted_rmse_mm == calibration.predicted_rmse_mm
+
+
+@pytest.mark.parametrize(
+    ("now", "max_age_h", "says"),
+    [
+        ("2026-01-02T13:04:05+00:00", 9.9, r"10 h old, allowed 9\.9 h .* run `mill calibrate` again"),
+        ("2026-01-02T02:04:05+00:00", 9.9, "yet to come; set this machine's clock"),
+    ],
+)
+def test_a_calibration_expires(calibration, path, now, max_age_h, says):
+    with pytest.raises(CalibrationError, match=says):
+        Calibration.load(path, calibration.rig, now=datetime.fromisoformat(now), max_age_h=max_age_h)
+
+
+def test_a_fresh_calibration_is_loaded(calibration, path):
+    now = datetime(2026, 1, 2, 13, tzinfo=UTC)
+    assert Calibration.load(path, calibration.rig, now=now, max_age_h=10.1).rig == calibration.rig
+
+
+def test_an_undated_calibration_is_of_no_known_age(calibration, path):
+    reseal(path, "2026-01-02T03:04:05+00:00", "yesterday")
+    with pytest.raises(CalibrationError, match=r"provenance\.date: found 'yesterday'"):
+        Calibration.load(path, calibration.rig, now=datetime(2026, 1, 2, 13, tzinfo=UTC), max_age_h=99.0)
+
+
+def test_another_exposure_is_another_calibration(calibration, path):
+    brighter = calibration.rig.model_copy(update={"camera_settings": "exposure 300"})
+    with pytest.raises(CalibrationError, match="camera_settings: calibrated '', found 'exposure 300'"):
+        Calibration.load(path, brighter)
 
 
 def test_a_person_can_read_it(path):

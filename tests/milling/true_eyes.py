@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,7 @@ from milling.job import Job
 from milling.record import RunRecorder
 from vision.completion import CompletionReading
 from vision.keypoints import Keypoint
+from vision.strip import CELLS, unroll
 
 Array = npt.NDArray[np.float64]
 
@@ -41,23 +43,22 @@ class TrueReader:
     def __init__(self, bench: Bench, calibration: Calibration) -> None:
         self._bench = bench
         self._calibration = calibration
-        self._ring_px: Array | None = None
         self._ring_mm = np.zeros((0, 3))
         self.fails: Callable[[CompletionReading], CompletionReading] = lambda reading: reading
 
-    def read(self, image: Image, ring_px: Array, radius_px: float, *, reference: Image | None) -> CompletionReading:
-        if self._ring_px is None or not np.array_equal(self._ring_px, ring_px):
-            self._ring_px, self._ring_mm = ring_px, self._on_the_bone(ring_px)
+    def over(self, ring_px: Array, ball_px: float, *, reference: Image | None) -> Self:
+        self._ring_mm = self._on_the_bone(ring_px)
+        self._strip = unroll(ring_px, ball_px)
+        return self
+
+    def read(self, image: Image) -> CompletionReading:
         completion = np.nan_to_num(self._bench.machine.completion_at(self._ring_mm, search_mm=0.15))
         upper = np.where(completion >= 0.999, 1.0, np.minimum(completion + 0.05, 0.96))
+        nothing = np.zeros(CELLS, np.float32)
+        visible = np.ones(len(self._ring_mm), dtype=bool)
         return self.fails(
             CompletionReading(
-                completion=np.minimum(completion, upper),
-                upper=upper,
-                visible=np.ones(len(ring_px), dtype=bool),
-                box_px=None,
-                heat_map=np.zeros((2, 2), np.float32),
-                image_from_heat=np.eye(2, 3),
+                np.minimum(completion, upper), upper, visible, nothing, nothing, self._strip, image.shape[:2]
             )
         )
 

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from studies import calibration_trials, surface_trials
-from studies.trials import Figures
+from drivers.errors import ConfigError
+from studies import calibration_trials, completion_trials, surface_trials
+from studies.trials import Figures, World, worlds
 
 
 @pytest.fixture(scope="module")
 def rig() -> dict[str, Figures]:
-    return {recipe: calibration_trials.calibrate_one(3, recipe) for recipe in calibration_trials.RECIPES}
+    return {recipe: calibration_trials.calibrate_one(World(3), recipe) for recipe in calibration_trials.RECIPES}
 
 
 def test_a_calibration_is_scored_in_the_box(rig):
@@ -35,13 +36,29 @@ def test_the_summary_counts_what_failed(rig):
 
 
 def test_one_rig_is_asked_for_the_same_places_by_every_recipe():
-    names = calibration_trials.trials_of(2, 5)
-    assert set(names.values()) == {(rig, recipe) for rig in (5, 6) for recipe in calibration_trials.RECIPES}
+    rigs = worlds(2, 5, None)
+    assert [rig.seed for rig in rigs] == [5, 6]
+    names = calibration_trials.trials_of(rigs)
+    assert set(names.values()) == {(rig, recipe) for rig in rigs for recipe in calibration_trials.RECIPES}
+
+
+def test_specimen_files_override_what_the_seeds_draw(tmp_path):
+    (tmp_path / "wet.toml").write_text("[appearance]\nwetness = 1.0\n")
+    (tmp_path / "egg.toml").write_text('kind = "eggshell"\n')
+    egg, wet, again = worlds(3, 7, tmp_path)
+    assert (egg.name, wet.name, again.name) == ("7-egg", "8-wet", "9-egg")
+    assert egg.specimen().kind == "eggshell"
+    assert wet.specimen().appearance.wetness == 1.0
+    assert wet.specimen().skull == World(8).specimen().skull
+    assert len(worlds(None, 0, tmp_path)) == 2
+    (tmp_path / "wrong.toml").write_text("[appearance]\nwetnes = 1.0\n")
+    with pytest.raises(ConfigError, match="wetnes is not known"):
+        worlds(None, 0, tmp_path)
 
 
 @pytest.fixture(scope="module")
 def bone() -> dict[str, Figures]:
-    return {recipe: surface_trials.reconstruct_one(1, recipe) for recipe in surface_trials.RECIPES}
+    return {recipe: surface_trials.reconstruct_one(World(1), recipe) for recipe in surface_trials.RECIPES}
 
 
 def test_a_surface_is_scored_at_the_ring(bone):
@@ -50,7 +67,7 @@ def test_a_surface_is_scored_at_the_ring(bone):
     assert ours["height_rmse_mm"] < 0.06
     assert ours["normal_rmse_deg"] < 8.0
     assert abs(ours["height_bias_mm"]) <= ours["height_rmse_mm"]
-    again = surface_trials.reconstruct_one(1, "default")
+    again = surface_trials.reconstruct_one(World(1), "default")
     assert again == ours
 
 
@@ -59,6 +76,54 @@ def test_the_papers_matcher_is_worse(bone):
     assert bone["default"]["height_rmse_mm"] < bone["paper"]["height_rmse_mm"]
     figures = surface_trials.summary(bone)
     assert figures["paper"]["trials"] == 1
+
+
+def test_landmarks_are_scored_in_pixels(bone):
+    figures = surface_trials.summary(bone)["default"]
+    assert 0.0 < figures["bregma_rmse_px"] <= figures["bregma_worst_px"]
+    assert figures["center_rmse_px"] <= max(figures["bregma_rmse_px"], figures["lambda_rmse_px"])
+    assert "bregma_rmse_px" not in surface_trials.summary(bone)["paper"]
+
+
+@pytest.fixture(scope="module")
+def rings() -> dict[str, Figures]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(completion_trials, "STAGES", 6)
+        chosen = completion_trials.trials_of([World(1)], None)
+        return {name: completion_trials.read_one(*arguments) for name, arguments in chosen.items()}
+
+
+def test_completion_is_scored_under_every_shift(rings):
+    figures = completion_trials.summary(rings)["default"]
+    assert set(figures["shifts"]) == set(completion_trials.SHIFTS) - {"clean"}
+    for name in ("mape", "penetration_recall", "upper_bound_coverage", "ap50_95", "hidden_recall"):
+        assert 0.0 <= figures[f"{name}_low"] <= figures[name] <= figures[f"{name}_high"] <= 1.5
+    assert figures["mape"] < 0.5
+    assert figures["ap50"] >= figures["ap50_95"] > 0.3
+
+
+def test_every_tenth_of_the_true_completion_weighs_the_same():
+    trial = {"tenths": [[0.0, 0.0, 0.0, 0.0]] * 10, "boxes": [[0.9, 1.0]], "kerfs": 1}
+    trial["tenths"][2] = [0.01, 1.0, 0.10, 1.0]
+    trial["tenths"][9] = [0.0, 99.0, 0.0, 99.0]
+    for name in completion_trials._Tally().pairs:
+        trial[name] = [1, 1]
+    figures = completion_trials._summed([trial])
+    assert figures["mape"] == pytest.approx(0.05)
+    assert figures["rmse"] == pytest.approx(np.sqrt(0.01 / 2))
+    assert figures["ap50"] == pytest.approx(1.0)
+
+
+def test_shifts_change_what_they_say(rings):
+    world = World(1).specimen()
+    assert completion_trials._shifted_specimen(world, "dust").appearance.dust == 1.0
+    assert completion_trials._shifted_specimen(world, "another rig").rig.toe_in_deg > world.rig.toe_in_deg
+    grey = completion_trials._Seen("grey light", np.random.default_rng(0))(np.full((4, 4, 3), (200, 90, 20), np.uint8))
+    assert np.ptp(grey, axis=2).max() == 0
+    off = completion_trials._aside("off by 4 px", np.random.default_rng(0))
+    assert np.hypot(*off) == pytest.approx(4.0)
+    errors = {name: trial["tenths"] for name, trial in rings.items()}
+    assert len({str(tenths) for tenths in errors.values()}) == len(completion_trials.SHIFTS)
 
 
 def test_planes_have_their_normals():

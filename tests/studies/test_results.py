@@ -30,12 +30,16 @@ def test_an_experiment_tells_its_command_its_count_and_its_intervals() -> None:
     result = {
         "command": "experiment surface",
         "seed": 3,
-        "recipes": {"default": {**ours, "within_2_sigma": 0.9}, "paper": {"trials": 9, "failed": 9}},
+        "recipes": ["default", "paper"],
+        "default": {**ours, "within_2_sigma": 0.9},
+        "paper": {"trials": 9, "failed": 9},
+        "published": {"height_rmse_mm": 0.1},
+        "trials": [{"seed": seed} for seed in range(3, 12)],
     }
     text = page({}, [result])
-    assert "mill experiment surface --specimens 9 --seed 3" in text
-    assert "| failed | 0 | 9 |" in text
-    assert "| height_rmse_mm | 0.02 (0.015-0.025) |  |" in text
+    assert "mill experiment surface --specimens-count 9 --seed 3" in text
+    assert "| failed | 0 | 9 |  |" in text
+    assert "| height_rmse_mm | 0.02 (0.015 to 0.025) | - | 0.1 |" in text
     assert "None were given" in text
 
 

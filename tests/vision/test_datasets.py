@@ -7,7 +7,8 @@ from drivers.errors import ConfigError
 from firmware_sim.specimen import draw_specimen
 from studies.datasets import SPLITS, ensure
 from studies.scenes import completion_samples, landmark_samples
-from vision.completion_training import COMPLETION, RING, STORED_PX
+from vision.completion_training import HIDDEN, LEVELS, STORED_PX
+from vision.strip import ALONG_PX, CELL_PX
 
 
 def test_no_split_can_reach_a_seed_of_another():
@@ -71,11 +72,14 @@ def test_a_folder_without_specimens_is_refused(tmp_path):
 
 def test_labels_of_a_ring_agree_with_its_completion():
     sample = next(completion_samples(draw_specimen(5), np.random.default_rng(3)))
-    assert sample["crops"].shape == (STORED_PX, STORED_PX, 6)
-    cells = np.round((sample["rings_px"] - 0.5) / 2).astype(int)
-    painted = sample["labels"][cells[:, 1], cells[:, 0]]
-    assert painted[:, RING].all()
-    assert painted[:, COMPLETION] / 250 == pytest.approx(sample["completions"], abs=0.06)
+    assert sample["strips"].shape == (STORED_PX, ALONG_PX, 6)
+    # The floor of the kerf is seen a little aside of the ring on the unmilled surface: eyes look down at a slant.
+    middle = slice(STORED_PX // 2 - 6, STORED_PX // 2 + 6)
+    along = sample["maps"][middle, CELL_PX[1] // 2 :: CELL_PX[1]].astype(float)
+    shown = (along != HIDDEN).all(axis=0)
+    assert along.max(axis=0)[shown] / LEVELS == pytest.approx(sample["completions"][shown], abs=0.06)
+    assert not sample["hidden"][shown].any()
+    assert shown.mean() > 0.5
 
 
 def test_an_eggshell_has_no_landmarks():

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from vision import disparity
 from vision.disparity import match
 
 HEIGHT, WIDTH = 270, 480
@@ -94,3 +95,46 @@ def test_pictures_of_different_things_do_not_match():
 def test_an_empty_region_has_no_matches():
     left, right = pair(np.zeros((HEIGHT, WIDTH)))
     assert len(match(left, right, region=(900.0, 10.0, 950.0, 50.0)).left_px) == 0
+
+
+def test_a_dome_is_not_laid_too_low():
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    dome = 12.0 - 2.5e-3 * ((x - WIDTH / 2) ** 2 + (y - HEIGHT / 2) ** 2) / 2
+    matches = match(*pair(dome), right_from_left=AFFINE, region=REGION)
+    assert abs(errors_of(matches, dome)[:, 0].mean()) < 0.02
+
+
+def reddish(picture, seed):
+    """Texture in red alone, as blood in bone has it, over the grey one."""
+    waves = cv2.GaussianBlur(np.random.default_rng(seed).normal(0, 14, picture.shape[:2]), (0, 0), 1.5) * 4.0
+    return np.clip(picture * [1.2, 0.8, 0.7] + waves[..., None] * [1.0, 0.0, 0.0], 0, 235).astype(np.uint8)
+
+
+def with_glints(picture, places):
+    layer = np.zeros(picture.shape[:2], np.float32)
+    for px, py in places:
+        cv2.circle(layer, (round(16 * px), round(16 * py)), 24, 0.22, -1, cv2.LINE_AA, 4)
+    # White light adds to what is there, in linear light.
+    return np.round(255 * np.clip((picture / 255) ** 2.2 + layer[..., None], 0, 0.95) ** (1 / 2.2)).astype(np.uint8)
+
+
+def test_highlights_that_lie_too_deep_mislead_less_than_grey_alone(monkeypatch):
+    flat = np.zeros((HEIGHT, WIDTH))
+    left, _ = pair(flat, noise=0.0)
+    left = reddish(left, 3)
+    right = cv2.warpAffine(left, AFFINE, (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    places = np.random.default_rng(4).uniform((100, 40), (380, 230), (900, 2))
+    glossy = with_glints(left, places)
+    glossy_right = with_glints(right, (places - [1.5, 0.0]) @ AFFINE[:, :2].T + AFFINE[:, 2])
+    everything = match(glossy, glossy_right, right_from_left=AFFINE, region=REGION)
+    monkeypatch.setattr(disparity, "VIEWS", disparity.VIEWS[:1])
+    grey = match(glossy, glossy_right, right_from_left=AFFINE, region=REGION)
+    bias, bias_of_grey = (errors_of(matches, flat)[:, 0].mean() for matches in (everything, grey))
+    assert bias_of_grey < -0.1
+    assert abs(bias) < 0.6 * abs(bias_of_grey)
+
+
+def test_a_picture_without_colour_is_matched_as_well_as_its_grey(waves):
+    left, right = (np.repeat(cv2.cvtColor(p, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=2) for p in pair(waves))
+    errors = errors_of(match(left, right, right_from_left=AFFINE, region=REGION), waves)
+    assert np.sqrt((errors**2).mean(axis=0)) == pytest.approx([0, 0], abs=0.08)

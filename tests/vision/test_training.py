@@ -7,12 +7,14 @@ import torch
 
 from drivers.errors import ConfigError, MillError
 from vision.completion import CompletionReader
-from vision.completion_training import STORED_PX, CompletionTask, paint_labels
+from vision.completion_training import LEVELS, STORED_PX, CompletionTask
 from vision.keypoint_training import KeypointTask
 from vision.keypoints import decode
+from vision.paper_completion import PaperCompletionTask
 from vision.paper_recipe import PaperNet, PaperTask
 from vision.runtime import Network
 from vision.samples import load_data
+from vision.strip import ALONG_PX, CELLS
 from vision.training import Recipe, export, finish, train
 
 TINY = Recipe(steps=12, batch=2, learning_rate=3e-3, patience=99)
@@ -38,26 +40,31 @@ def discs():
 
 @pytest.fixture(scope="module")
 def rings():
-    angles = np.arange(32) * 2 * np.pi / 32
-    middle = (STORED_PX - 1) / 2
-    ring = np.stack([middle + 48 * np.cos(angles), middle + 48 * np.sin(angles)], axis=1)
-    crops, labels, depths = [], [], []
+    """Kerfs of one grey, the darker the deeper."""
+    strips, maps, depths = [], [], []
+    kerf = slice(STORED_PX // 2 - 12, STORED_PX // 2 + 12)
     for depth in (0.0, 0.3, 0.6, 1.0):
-        before = np.full((STORED_PX, STORED_PX, 3), 200, np.uint8)
-        now = before.copy()
-        cv2.circle(now, (96, 96), 48, (int(200 - 120 * depth),) * 3, 10)
-        crops.append(np.concatenate([now, before], axis=2))
-        kerf = np.zeros((STORED_PX // 2, STORED_PX // 2), np.float32)
-        cv2.circle(kerf, (48, 48), 24, depth, 5)
-        labels.append(paint_labels(ring, np.full(32, depth), kerf, np.zeros(kerf.shape, bool)))
-        depths.append(np.full(32, depth))
+        before = np.full((STORED_PX, ALONG_PX, 3), 200, np.uint8)
+        now, map_ = before.copy(), np.zeros((STORED_PX, ALONG_PX), np.uint8)
+        now[kerf] = int(200 - 120 * depth)
+        map_[kerf] = round(LEVELS * depth)
+        strips.append(np.concatenate([now, before], axis=2))
+        maps.append(map_)
+        depths.append(np.full(CELLS[1], depth))
     return {
-        "crops": np.stack(crops),
-        "labels": np.stack(labels),
-        "rings_px": np.stack([ring] * 4),
+        "strips": np.stack(strips),
+        "maps": np.stack(maps),
         "completions": np.array(depths),
-        "hidden": np.zeros((4, 32), bool),
+        "hidden": np.zeros((4, CELLS[1]), bool),
+        "rings_px": np.stack([circle(50.0, count=CELLS[1])] * 4),
+        "balls_px": np.full(4, 12.5),
+        "boxes_px": np.array([[np.nan] * 4, *[[418.0, 188.0, 542.0, 312.0]] * 3]),
     }
+
+
+def circle(radius, *, center=(480.0, 250.0), count=32):
+    angles = np.arange(count) * 2 * np.pi / count
+    return np.array(center) + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
 def losses_of(task, data, tmp_path, steps=TINY):
@@ -120,9 +127,9 @@ def test_the_best_on_the_way_comes_back(rings, tmp_path, monkeypatch):
     for name, held_out in (("rising", iter(range(99))), ("falling", iter(range(99, 0, -1)))):
         monkeypatch.setattr("vision.training._held_out_loss", lambda *_, held_out=held_out: next(held_out))
         best, _ = train(CompletionTask(), rings, rings, recipe, seed=2, checkpoint=tmp_path / name, progress=quiet)
-        biases.append(best.body.head.bias.detach())
+        biases.append(best.line.bias.detach())
     torch.manual_seed(2)
-    fresh = CompletionTask().network().body.head.bias.detach()
+    fresh = CompletionTask().network().line.bias.detach()
     assert 0 < (biases[0] - fresh).abs().sum() < (biases[1] - fresh).abs().sum()
 
 
@@ -146,7 +153,7 @@ def test_a_network_that_is_not_fit_leaves_the_old_one_in_place(rings, tmp_path, 
     finish(task, task.network(), path, rings, rings, {"seed": 1})
     good, manifest = path.read_bytes(), (tmp_path / "manifest.json").read_bytes()
     sick = task.network()
-    sick.body.head.weight.data[:] = float("nan")
+    sick.line.weight.data[:] = float("nan")
     with pytest.raises(MillError, match="NaN"):
         finish(task, sick, path, rings, rings, {"seed": 2})
     assert path.read_bytes() == good
@@ -191,15 +198,14 @@ def test_exported_completion_reads_a_ring_of_any_radius(rings, tmp_path):
     export(task, task.network(), path, rings)
     reader = CompletionReader(Network(path))
     image = np.full((540, 960, 3), 120, np.uint8)
-    angles = np.arange(32) * 2 * np.pi / 32
     for radius in (50.0, 101.0):
-        ring = np.stack([480 + radius * np.cos(angles), 250 + 0.95 * radius * np.sin(angles)], axis=1)
-        reading = reader.read(image, ring, radius, reference=image)
-        assert (reading.upper >= reading.completion).all()
-        assert (reading.upper <= 1).all()
-        center = reading.image_from_heat @ np.array([39.5, 39.5, 1.0])
-        assert center == pytest.approx([480, 250], abs=1e-6)
-        assert reader.read(image, ring, radius, reference=None).completion.shape == (32,)
+        ring = circle(radius)
+        for reference in (image, None):
+            reading = reader.over(ring, 12.5, reference=reference).read(image)
+            assert reading.completion.shape == (32,)
+            assert (reading.upper >= reading.completion).all()
+            assert (reading.upper <= 1).all()
+            assert reading.heat_map.shape == (540, 960)
     assert set(task.judge(Network(path), rings)) >= {"rmse", "upper_bound_coverage", "penetration_recall"}
 
 
@@ -207,21 +213,21 @@ def test_a_ring_that_leaves_the_picture_is_not_visible_there(rings, tmp_path):
     task = CompletionTask()
     path = tmp_path / "completion.onnx"
     export(task, task.network(), path, rings)
-    angles = np.arange(32) * 2 * np.pi / 32
-    ring = np.stack([930 + 50 * np.cos(angles), 250 + 50 * np.sin(angles)], axis=1)
-    reading = CompletionReader(Network(path)).read(np.zeros((540, 960, 3), np.uint8), ring, 50.0, reference=None)
-    assert not reading.visible[ring[:, 0] > 959].any()
+    ring = circle(50.0, center=(930.0, 250.0))
+    reader = CompletionReader(Network(path)).over(ring, 12.5, reference=None)
+    assert not reader.read(np.zeros((540, 960, 3), np.uint8)).visible[ring[:, 0] > 959].any()
 
 
-def test_paint_follows_the_ring_and_leaves_the_rest(rings):
-    ring = rings["rings_px"][0]
-    along = np.linspace(0, 1, 32)
-    label = paint_labels(ring, along, np.zeros((96, 96), np.float32), np.zeros((96, 96), bool))
-    for k in range(0, 32, 5):
-        column, row = np.round((ring[k] - 0.5) / 2).astype(int)
-        assert label[row, column, 0] == round(250 * along[k])
-        assert label[row, column, 1] == 1
-    assert label[48, 48].tolist() == [0, 0, 0, 0, 0]
+def test_the_papers_completion_learns_and_serves_the_same_reader(rings, tmp_path):
+    task = PaperCompletionTask(widths=(4, 8))
+    recipe = Recipe(steps=40, batch=4, learning_rate=3e-3, plan="three-rates", patience=99)
+    losses = losses_of(task, rings, tmp_path, recipe)
+    assert np.mean(losses[-5:]) < 0.85 * np.mean(losses[:5])
+    export(task, task.network(), tmp_path / "completion.onnx", rings)
+    reading = CompletionReader(Network(tmp_path / "completion.onnx")).over(circle(50.0), 12.5, reference=None)
+    read = reading.read(np.full((540, 960, 3), 120, np.uint8))
+    assert read.visible.all()
+    assert (read.upper >= read.completion).all()
 
 
 def test_missing_data_names_the_folder(tmp_path):
