@@ -17,6 +17,10 @@ test: ## the tests a change must pass (minutes)
 test-long: ## the long tests as well
 	$(BIN)/pytest -m 'long or not long'
 
+OUT ?= weights
+weights: ## train all three networks from nothing into OUT, on two cores (25 minutes)
+	printf '%s\n' landmarks completion tip | xargs -P 3 -I{} $(BIN)/mill train {} --out $(OUT)/{}.onnx
+
 all: check test ## what CI runs
 
-.PHONY: help install check test test-long all
+.PHONY: help install check test test-long weights all

@@ -15,12 +15,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from milling.eyes import mean_radius
+from studies.scenes import Array, Scene
+from studies.trials import World
 from vision.completion import CompletionReader
+from vision.runtime import Image
 
-SIZE_PX = (960, 540)
 POINTS = 32
-RING_PX, BALL_PX = 50.7, 12.7
-"""A ring of 2 mm and a ball of 0.5 mm at the paper's scale."""
+RADIUS_MM = 2.0
+READINGS, LOOKS = 300, 3
+"""How often ours is timed, and the reference."""
 BLOCKS = (3, 4, 23, 3)
 """Of ResNet-101."""
 
@@ -90,44 +94,53 @@ def _convolved(inputs: int, outputs: int, size: int, stride: int) -> nn.Sequenti
     )
 
 
-def measure(*, reference: nn.Module | None = None, readings: int = 300, looks: int = 3) -> dict[str, float]:
-    """Median rates on one thread, from the decoded picture on.
+def measure(reference: nn.Module | None = None) -> dict[str, float]:
+    """Median rates on one thread, from the decoded picture of a ring that is half milled.
 
     Args:
         reference: what is compared with; a ``PaperKind`` where left out.
-        readings: of ours.
-        looks: of the reference.
 
     Returns:
         ``ring_rate_hz`` (completion, bound and visibility at 32 points), ``frame_rate_hz`` (besides, the kerf's box and
         the heat map of the whole picture), ``paper_kind_rate_hz``, and ``speedup``, the ratio of the latter two.
     """
-    angles = np.arange(POINTS) * 2 * np.pi / POINTS
-    ring_px = np.array(SIZE_PX) / 2 + RING_PX * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    picture = np.random.default_rng(0).integers(0, 255, (SIZE_PX[1], SIZE_PX[0], 3), dtype=np.uint8)
-    reader = CompletionReader.load().over(ring_px, BALL_PX, reference=picture)
+    before, picture, ring_px, ball_px = _half_milled()
+    reader = CompletionReader.load().over(ring_px, ball_px, reference=before)
     network = (reference or PaperKind()).eval()
     x = torch.from_numpy(picture).permute(2, 0, 1)[None].float() / 255.0
 
     def whole() -> None:
         reading = reader.read(picture)
-        assert reading.heat_map.shape == picture.shape[:2]
-        reading.box_px  # noqa: B018  (it is computed when it is asked for)
+        assert reading.box_px is not None
+        assert reading.heat_map.any()
 
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
         with torch.no_grad():
-            paper_s = _median_s(lambda: network(x), looks)
+            paper_s = _median_s(lambda: network(x), LOOKS)
     finally:
         torch.set_num_threads(threads)
-    frame_s = _median_s(whole, readings)
+    frame_s = _median_s(whole, READINGS)
     return {
-        "ring_rate_hz": 1.0 / _median_s(lambda: reader.read(picture), readings),
+        "ring_rate_hz": 1.0 / _median_s(lambda: reader.read(picture), READINGS),
         "frame_rate_hz": 1.0 / frame_s,
         "paper_kind_rate_hz": 1.0 / paper_s,
         "speedup": paper_s / frame_s,
     }
+
+
+def _half_milled() -> tuple[Image, Image, Array, float]:
+    """The left picture before and now, the ring (32, 2) in it and the ball's radius, in px."""
+    scene = Scene(World(0).specimen(), np.random.default_rng(0))
+    scene.park()
+    before = scene.pictures()[0]
+    angles = np.arange(POINTS) * 2 * np.pi / POINTS
+    ring_mm = scene.center_mm + RADIUS_MM * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    scene.carve(ring_mm, np.full(POINTS, 0.5))
+    ring_px = scene.microscope.project(np.column_stack([ring_mm, scene.outer_z(ring_mm)]))[0]
+    ball_mm = scene.machine.specimen.tool.ball_radius_mm
+    return before, scene.pictures()[0], ring_px, ball_mm / RADIUS_MM * mean_radius(ring_px)
 
 
 def _median_s(work: Callable[[], object], times: int) -> float:

@@ -332,6 +332,11 @@ def _require_fresh(calibration: Calibration, path: Path, now: datetime, max_age_
 
 def _require_same_rig(calibrated: RigIdentity, found: RigIdentity, path: str) -> None:
     ours, theirs = found.model_dump(), calibrated.model_dump()
+    if calibrated == found.model_copy(update={"camera_settings": calibrated.camera_settings}) != found:
+        raise WrongCalibrationError(
+            f"{path}: was made with the cameras set to {calibrated.camera_settings or 'what it does not say'}; they "
+            f"are set to {found.camera_settings} now; set them back, or run `mill calibrate` again"
+        )
     if differing := [key for key in theirs if theirs[key] != ours[key]]:
         what = "; ".join(f"{key}: calibrated {theirs[key]!r}, found {ours[key]!r}" for key in differing)
         raise WrongCalibrationError(f"{path}: belongs to another rig ({what}); run `mill calibrate` on this rig")

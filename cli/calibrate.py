@@ -11,6 +11,7 @@ import click
 from cli.options import BenchChoice, json_option, on_a_bench
 from cli.output import console_beside, write_json
 from cli.rig import Rig, rig_for
+from drivers.errors import ConfigError
 
 if TYPE_CHECKING:
     from calib.calibration_file import Calibration, Provenance
@@ -56,6 +57,10 @@ def calibrate(
     with rig_for(chosen) as bench:
         find_tip = TipFinder.load(bench.config.weights.tip)
         path = out or calibration_path(bench.config.name)
+        if path.suffix == ".html":
+            raise ConfigError(
+                f"--out {path}: that is the name of its report; give the file another ending, such as .toml"
+            )
         if only_verify:
             Calibration.load(path, None)  # an unusable file is refused before anything moves
         started_s = bench.clock.now_s()

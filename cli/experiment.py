@@ -14,6 +14,7 @@ import click
 from cli.bars import counter, progress_bars
 from cli.options import json_option
 from cli.output import console_beside, write_json
+from drivers.errors import ConfigError
 
 if TYPE_CHECKING:
     from studies.tables import Table
@@ -110,10 +111,18 @@ def completion(
     from benchmarks.completion_speed import measure
     from studies import completion_trials as study
     from studies.trials import worlds
-    from vision.runtime import verify
+    from vision.runtime import Network, read_manifest
 
     chosen = worlds(count, seed, specimens)
-    stamp = {"paper weights": verify(paper_weights, "completion")} if paper_weights else {}
+    stamp = {}
+    if paper_weights:
+        stamp = {"paper weights": Network(paper_weights, "completion").sha256}
+        recipe = read_manifest(paper_weights.parent)[paper_weights.name].get("recipe")
+        if recipe != "paper":
+            raise ConfigError(
+                f"--paper-weights {paper_weights}: were made by recipe {recipe!r}, 'paper' is needed; make them: "
+                f"mill train completion --recipe paper --out FILE"
+            )
     trials = study.trials_of(chosen, paper_weights)
     _study("completion", study.read_one, trials, study, chosen, workers, out, json_file, stamp=stamp, beside=measure)
 
@@ -167,9 +176,6 @@ def _study(
     console = console_beside(json_file)
     for table in tables(name, recipes, published):
         console.print(_shown(table))
-    if out:
-        write_study_report(out / "report.html", name, recipes, published, trials)
-        console.print(f"report: {out / 'report.html'}")
     if json_file:
         write_json(
             json_file,
@@ -180,6 +186,9 @@ def _study(
             published=published,
             trials=list(trials.values()),
         )
+    if out:
+        write_study_report(out / "report.html", name, recipes, published, trials)
+        console.print(f"report: {out / 'report.html'}")
 
 
 def _stamp(chosen: "list[World]") -> dict[str, str]:

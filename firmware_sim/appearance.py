@@ -160,7 +160,7 @@ def _draw_eggshell(rng: np.random.Generator, skull: Skull, scene: Grid) -> _Part
     table = np.full(3, rng.uniform(0.02, 0.12))
     ground = _mix(shell, table, _step(rim - rng.uniform(13.0, 17.0), 0.3))
     opening = _step(6.8 - rim, 1.0)
-    film = np.zeros((*shape, FILM_CHANNELS), np.float32)
+    film = _no_film(skull, BLOOD_RGB)
     return _f32(bone), _f32(bed), film, _f32(relief), _f32(ground_z), _f32(ground), _f32(opening)
 
 

@@ -83,12 +83,12 @@ class RingView:
     @property
     def radius_px(self) -> float:
         """The ring's radius at the picture's mean scale."""
-        return _mean_radius(self.ring_px)
+        return mean_radius(self.ring_px)
 
     @property
     def ball_px(self) -> float:
         """The ball's radius at that scale."""
-        return self.ball_radius_mm * self.radius_px / _mean_radius(self.ring_mm)
+        return self.ball_radius_mm * self.radius_px / mean_radius(self.ring_mm)
 
     def hidden(self, tip_mm: Sequence[float]) -> npt.NDArray[np.bool_]:
         """(n,) whether a drill at ``tip_mm`` may cover the point, ball or shank."""
@@ -200,5 +200,6 @@ class Watch:
         return reading.completion, np.maximum(reading.upper, reading.completion), visible
 
 
-def _mean_radius(ring: Floats) -> float:
+def mean_radius(ring: Floats) -> float:
+    """Mean distance of (n, k) points from their middle."""
     return float(np.linalg.norm(ring - ring.mean(axis=0), axis=1).mean())

@@ -1,8 +1,8 @@
 """How well the ring is read while it is milled, on specimens that no network has seen, also under shifts.
 
-Frames are uniform in run time: the kerf deepens at one rate all round until the last point is through, and each moment
-is seen in ``FRAMES`` successive pictures with the drill going round in the kerf. The ring that the reader is told is
-off by what a calibration is off.
+Frames are uniform in run time: the kerf deepens steadily, at some points a little faster than at others, until the last
+one is through, and each moment is seen in ``FRAMES`` successive pictures with the drill going round in the kerf. The
+ring that the reader is told is off by what a calibration is off.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,15 +18,17 @@ from milling.eyes import RingView
 from studies.scenes import Scene, hides, kerf_box
 from studies.trials import Figures, World
 from vision.completion import THROUGH, CompletionReader, CompletionReading
-from vision.runtime import Image
+from vision.runtime import Image, Network
 from vision.scores import IOU_STEPS, MAPE_FROM, average_precision, iou
 
 Floats = npt.NDArray[np.float64]
 
 CLEAN = "clean"
 SHIFTS = (CLEAN, "blood film", "dust", "irrigation", "defocus", "grey light", "gamma", "off by 4 px", "another rig")
-PUBLISHED = {"mape": 0.2432, "ap": 0.776, "frame_rate_hz": 72.0}
-"""The paper's figures, on tissue and with a GPU; it states neither the thresholds of its precision nor its mask."""
+PUBLISHED = {"mape": 0.2432, "frame_rate_hz": 72.0}
+"""The paper's figures, on tissue and with a GPU. It does not say which truths its percentage leaves out nor how they
+weigh; ours are from 0.05 up, each tenth of equal weight. Its 77.6 mAP names no overlap, and is beside neither of ours.
+"""
 POINTS = 32
 RADIUS_MM = 2.0
 STAGES = 24
@@ -73,7 +75,8 @@ def read_one(world: World, shift: str, recipe: str, weights: Path | None) -> Fig
     )
     true_px = view.ring_px
     told_px = true_px + rng.normal(0.0, RING_ERROR_PX, size=2) + _aside(shift, rng)
-    reader = CompletionReader.load(weights).over(told_px, view.ball_px, reference=seen(scene.pictures()[0]))
+    network = Network(weights or CompletionReader.weights, "completion")
+    reader = CompletionReader(network).over(told_px, view.ball_px, reference=seen(scene.pictures()[0]))
     _soil(scene, ring_mm, shift, rng)
     waves = np.zeros(POINTS)
     for k in (1, 2, 3):
@@ -215,11 +218,12 @@ class _Tally:
         there = np.array([~hidden for _, hidden, _ in shots])
         clear = there & ~np.array([expected for _, _, expected in shots])
         self._count("hole", (told & known & there).any(axis=0)[hole & clear.any(axis=0)])
+        bone = truth < BONE_BELOW
+        self._count("false_hole", (told & known & there).any(axis=0)[bone & clear.any(axis=0)])
+        self._count("false_hole_any", (told & known & there).any(axis=0)[~hole & clear.any(axis=0)])
         self._count("withheld", ~known[there])
         for k, (reading, hidden, _) in enumerate(shots):
             seen = known[k] & there[k]
-            self._count("false_hole", told[k][seen & (truth < BONE_BELOW)])
-            self._count("false_hole_any", told[k][seen & ~hole])
             self._count("covered", (reading.upper >= truth)[seen])
             self._count("hidden", ~known[k][hidden])
             self._count("hidden_by_picture", ~reading.visible[hidden])
@@ -297,7 +301,10 @@ def _summed(trials: Sequence[Figures]) -> Figures:
     draws = rng.integers(len(trials), size=(400, len(trials)))
     for name, measure in measures.items():
         low, high = np.percentile([measure(draw) for draw in draws], [2.5, 97.5])
-        figures |= {name: measure(np.arange(len(trials))), f"{name}_low": float(low), f"{name}_high": float(high)}
+        figures[name] = measure(np.arange(len(trials)))
+        if low < high:
+            # Specimens that are all alike, as where nothing was ever missed, tell no interval.
+            figures |= {f"{name}_low": float(low), f"{name}_high": float(high)}
     total = tenths.sum(axis=0)
     for k in np.flatnonzero(total[:, 1]):
         figures[f"rmse_tenth_{k}"] = float(np.sqrt(total[k, 0] / total[k, 1]))

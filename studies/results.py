@@ -62,10 +62,11 @@ def _experiment(result: dict[str, Any]) -> list[str]:
     count = len({trial["seed"] for trial in result["trials"]})
     what = result["command"].removeprefix("experiment ")
     option = "rigs" if what == "calibration" else "specimens-count"
+    others = " --paper-weights FILE" if what == "completion" and "paper" in recipes else ""
     lines = [
         f"## Experiment: {what}",
         "",
-        f"`mill {result['command']} --{option} {count} --seed {result['seed']} --out DIR --json FILE`;",
+        f"`mill {result['command']} --{option} {count} --seed {result['seed']}{others} --out DIR --json FILE`;",
         "every recipe on the same virtual specimens and rigs, which no network has seen; figures of the trials that",
         "succeeded, with their 95 % interval over specimens. The last column is no simulation.",
         "",

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from firmware_sim.machine import Machine
 from firmware_sim.microscope import Microscope, Side
 from firmware_sim.specimen import Specimen
+from milling.eyes import mean_radius
 from vision.completion_training import HIDDEN, KERF_FROM, LEVELS, STORED_PX
 from vision.runtime import Image
 from vision.strip import CELLS, Strip, unroll
@@ -164,7 +165,7 @@ def completion_samples(specimen: Specimen, rng: np.random.Generator) -> Iterator
         ring_mm, radius_mm = bench.ring()
         points_mm = np.column_stack([ring_mm, bench.outer_z(ring_mm)])
         rings_px = bench.microscope.project(points_mm)
-        balls_px = [ball_mm * _radius_px(ring_px) / radius_mm * np.exp(rng.normal(0.0, 0.02)) for ring_px in rings_px]
+        balls_px = [ball_mm * mean_radius(ring_px) / radius_mm * np.exp(rng.normal(0.0, 0.02)) for ring_px in rings_px]
         before = bench.pictures()
         for stage in range(STAGES):
             if ring == RINGS - 1 and stage == STAGES // 2 and rng.random() < 0.65:
@@ -193,10 +194,6 @@ def _weathered(specimen: Specimen, rng: np.random.Generator) -> Specimen:
         return specimen
     extreme = {"dust": float(rng.integers(2)), "wetness": float(rng.integers(2))}
     return specimen.model_copy(update={"appearance": specimen.appearance.model_copy(update=extreme)})
-
-
-def _radius_px(ring_px: Array) -> float:
-    return float(np.linalg.norm(ring_px - ring_px.mean(axis=0), axis=1).mean())
 
 
 def _labels(strip: Strip, completion: npt.NDArray[np.float32], drill: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:

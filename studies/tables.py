@@ -7,7 +7,8 @@ from typing import Any
 PUBLISHED = "the paper (its own rig or tissue)"
 """Heading of the paper's own figures, which are not simulation."""
 BY_SHIFT = (
-    "mape", "rmse", "penetration_recall", "penetration_false_alarm", "upper_bound_coverage", "hidden_recall", "ap50_95",
+    "mape", "rmse", "penetration_recall", "penetration_false_alarm", "upper_bound_coverage", "hidden_recall",
+    "hidden_recall_by_picture", "visible_withheld", "ap50_95",
 )  # fmt: skip
 """What is told of each shift."""
 _SUFFIXES = ("_low", "_high")

@@ -9,16 +9,19 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from drivers.errors import ConfigError
 from vision.runtime import WEIGHTS, Image, Network
 from vision.strip import ACROSS_PX, CELL_PX, CELLS, Strip, at_points, unroll
 
+MARGIN = "upper_margin"
+"""Constant of the network: what is added to its bound, so that held-out truth stays below."""
 MISSING = 128
 """Grey that stands for a reference picture that does not exist."""
-DRILL_NOT_EXCLUDED = 0.12
+DRILL_NOT_EXCLUDED = 0.05
 """Probability of the drill from which a point counts as hidden. A point that waits for a better picture costs a frame;
 a reading of the drill's own surface could cost more. Chosen on validation data."""
-HOLE_NOT_EXCLUDED = 0.2
-"""Probability of a hole from which the upper bound is 1, whatever else the network says."""
+HOLE_NOT_EXCLUDED = 0.1
+"""Probability of a hole from which the upper bound is 1, whatever else the network says. Chosen on validation data."""
 HOLE_SEEN = 0.5
 """Probability of a hole from which the best estimate is through."""
 THROUGH = 0.995
@@ -73,9 +76,16 @@ class CompletionReader:
         """Read the weights, those that come with mill unless told otherwise.
 
         Raises:
-            ConfigError: they are missing, or not what their manifest says.
+            ConfigError: they are missing, not what their manifest says, or without a bound, so that nothing may be
+                milled by them.
         """
-        return cls(Network(weights or cls.weights, "completion"))
+        network = Network(weights or cls.weights, "completion")
+        if MARGIN not in network.constants:
+            raise ConfigError(
+                f"{network.path}: has no {MARGIN}, and its readings no bound: it is for comparison only; "
+                f"train one by the default recipe: mill train completion --out {network.path}"
+            )
+        return cls(network)
 
     def over(self, ring_px: Floats, ball_px: float, *, reference: Image | None) -> "RingReader":
         """A reader of one ring.
@@ -110,7 +120,7 @@ class RingReader:
         (line,), (maps,) = self._network.run(strips=self._strips)
         n = len(self._ring_px)
         completion, upper, drill, hole = at_points(line, n)
-        margin = self._network.constants.get("upper_margin", 0.0)
+        margin = self._network.constants.get(MARGIN, 0.0)
         completion, upper = bounded(completion, upper + margin, probability(hole))
         limit = np.array([image.shape[1], image.shape[0]]) - 1
         inside = ((self._ring_px >= 0) & (self._ring_px <= limit)).all(axis=1)

@@ -9,7 +9,8 @@ from vision.strip import ACROSS_PX, CELL_PX
 
 WIDTHS = (32, 48, 64)
 WRAP_CELLS = 4
-"""A ring has no ends: so much of the strip's end is put before its beginning, and the other way round."""
+"""So much of the strip's end is put before its beginning, and the other way round. Along the ring the layers reach 10
+cells, so the first and last few cells know a little less of their neighbours; more cells cost more than that."""
 
 
 class CompletionNet(nn.Module):

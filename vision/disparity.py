@@ -34,6 +34,8 @@ WORSE = 2.0
 """A view of the colours that is less sure than grey by more than this tells nothing: there is no colour in it."""
 LEAST_FOR_DOME = 200
 """Matches from which the dome is taken out."""
+STILL_MATCHED = 0.8
+"""Share of them that must be found again without it."""
 PATCH_PX = 9
 MARGIN_PX = 48
 _SPREAD = 48.0
@@ -91,7 +93,11 @@ def match(
         return first.matches(frame)
     # What smooths a dome lays it too low: with the dome taken out of the picture there is nothing left to bend.
     domed = replace(frame, dome=_dome(first, frame))
-    return _compared(window, right, domed, inner).matches(domed)
+    second = _compared(window, right, domed, inner)
+    if len(second.at_px) < STILL_MATCHED * len(first.at_px):
+        # The cubic through matches on one side may run wild on the other.
+        return first.matches(frame)
+    return second.matches(domed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +143,7 @@ class _Pairs:
 
 
 def _compared(left: Image, right: Image, frame: _Frame, inner: tuple[int, int, int, int]) -> _Pairs:
-    """Match the window in each of ``VIEWS``; what they tell is put side by side."""
+    """Match the window in each of ``VIEWS``; of each place, the mean of what they tell."""
     warped, seen = frame.warped(right)
     grid = np.mgrid[
         inner[1] - frame.outer[1] : inner[3] - frame.outer[1] : STEP_PX,
@@ -146,9 +152,13 @@ def _compared(left: Image, right: Image, frame: _Frame, inner: tuple[int, int, i
     y, x = (axis.ravel() for axis in grid)
     clear, clear_right = ~_glares(left), ~_glares(warped) & seen
     found = [_in_view(_even(view(left)), _even(view(warped)), x, y, clear, clear_right) for view in VIEWS]
-    grey = found[0]
-    told = [view for view in found if view is grey or _median(view.sigma_px) <= WORSE * _median(grey.sigma_px)]
-    return _Pairs(*(np.concatenate([getattr(view, name) for view in told]) for name in ("at_px", "to_px", "sigma_px")))
+    limit = WORSE * _median(found[0][1])
+    told = [view for k, view in enumerate(found) if k == 0 or _median(view[1]) <= limit]
+    # Views share their pixels: their mean is no surer than they are, and one place stays one match.
+    there, sigma = (np.ma.mean(np.ma.masked_invalid([view[k] for view in told]), axis=0).filled(np.nan) for k in (0, 1))
+    good = np.isfinite(sigma)
+    at_px = np.stack([x, y], axis=1).astype(np.float64)[good]
+    return _Pairs(at_px, at_px + there[good], sigma[good])
 
 
 def _in_view(
@@ -158,8 +168,8 @@ def _in_view(
     y: npt.NDArray[np.intp],
     clear: npt.NDArray[np.bool_],
     clear_right: npt.NDArray[np.bool_],
-) -> _Pairs:
-    """Those (x, y) that match without doubt."""
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Shift (n, 2) and the error to expect (n,) at each (x, y); NaN where nothing matches without doubt."""
     size = (one.shape[1], one.shape[0])
     flow, back = _flow(one, two), _flow(two, one)
     there = flow[y, x].astype(np.float64)
@@ -172,17 +182,18 @@ def _in_view(
     landing = np.clip(np.round(target).astype(int), 0, np.array(size) - 1)
     good = (miss < AGREE_PX) & clear[y, x] & clear_right[landing[:, 1], landing[:, 0]]
     if not good.any():
-        return _Pairs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+        return np.full_like(there, np.nan), np.full(len(there), np.nan)
     good &= np.abs(there[:, 1] - np.median(there[good, 1])) < ROW_PX
     unexplained = _unexplained(one, two, flow)
     good &= unexplained[y, x] < UNEXPLAINED * _SPREAD**2
     sigma = _sigma(one, unexplained[y, x], x, y, miss)
     good &= _near_surface(_terms(at, size), there[:, 0], good)
-    return _Pairs(at[good], target[good], sigma[good])
+    return np.where(good[:, None], there, np.nan), np.where(good, sigma, np.nan)
 
 
 def _median(values: npt.NDArray[np.float64]) -> float:
-    return float(np.median(values)) if len(values) else np.inf
+    """Of those that are there."""
+    return float(np.nanmedian(values)) if np.isfinite(values).any() else np.inf
 
 
 def _terms(at_px: npt.NDArray[np.float64], size: tuple[int, int]) -> npt.NDArray[np.float64]:

@@ -3,8 +3,10 @@
 One thread per model: two threads that spin for each other starve the control loop on a busy machine.
 """
 
+import fcntl
 import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,8 +31,8 @@ class Network:
         """Load ``path``, which must have been trained for ``task`` if one is named.
 
         Raises:
-            ConfigError: the file is missing, is not the one that ``manifest.json`` beside it describes, or was trained
-                for another task.
+            ConfigError: the file is missing, is not the one that ``manifest.json`` beside it describes, was trained for
+                another task, or takes something else than that task's network.
         """
         self.sha256 = verify(path, task)
         import onnxruntime
@@ -43,6 +45,11 @@ class Network:
         options.log_severity_level = 3
         self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
         self._shapes = {entry.name: tuple(entry.shape) for entry in self._session.get_inputs()}
+        if task is not None and set(self._shapes) != {INPUTS[task]}:
+            raise ConfigError(
+                f"{path}: takes {', '.join(self._shapes)}, {INPUTS[task]} is needed: another version of mill made it; "
+                f"train it anew: mill train {task} --out {path}"
+            )
         self.path = path
         self.constants: Mapping[str, float] = {
             key: float(value) for key, value in self._session.get_modelmeta().custom_metadata_map.items()
@@ -72,7 +79,9 @@ def sha256_of(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-TASKS = ("tip", "landmarks", "completion")
+INPUTS = {"tip": "picture", "landmarks": "picture", "completion": "strips"}
+"""What the network of each task is shown."""
+TASKS = tuple(INPUTS)
 """What networks are trained for, and the names of the weights that come with mill."""
 
 
@@ -109,10 +118,15 @@ def read_manifest(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def write_manifest(path: Path, about: Mapping[str, Any]) -> None:
-    """Enter a new weights file into the manifest beside it."""
-    manifest = read_manifest(path.parent)
-    manifest[path.name] = {"sha256": sha256_of(path), **about}
-    text = json.dumps(dict(sorted(manifest.items())), indent=2) + "\n"
-    scratch = path.parent / f".{MANIFEST}.new"
-    scratch.write_text(text, encoding="utf-8")
-    scratch.replace(path.parent / MANIFEST)
+    """Enter a new weights file into the manifest beside it, also where several trainings end at once."""
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX)
+        manifest = read_manifest(path.parent)
+        manifest[path.name] = {"sha256": sha256_of(path), **about}
+        text = json.dumps(dict(sorted(manifest.items())), indent=2) + "\n"
+        scratch = path.parent / f".{MANIFEST}.new"
+        scratch.write_text(text, encoding="utf-8")
+        scratch.replace(path.parent / MANIFEST)
+    finally:
+        os.close(folder)

@@ -47,9 +47,11 @@ def _drawing(
     from plotly.subplots import make_subplots
 
     columns: dict[str, Mapping[str, Any]] = dict(recipes)
-    for figures in recipes.values():
-        columns |= figures.get("shifts", {})
+    for recipe, figures in recipes.items():
+        columns |= {f"{recipe}, {shift}": of_shift for shift, of_shift in figures.get("shifts", {}).items()}
     drawn = [figure for figure in DRAWN[name] if any(figures.get(figure) is not None for figures in columns.values())]
+    if not drawn:
+        return "<p>No trial gave a figure.</p>"
     picture = make_subplots(rows=(len(drawn) + 1) // 2, cols=2, subplot_titles=drawn)
     for index, figure in enumerate(drawn):
         at = {"row": index // 2 + 1, "col": index % 2 + 1}
@@ -76,4 +78,4 @@ def _drawing(
     picture.update_layout(
         height=340 * ((len(drawn) + 1) // 2), showlegend=False, template="plotly_white", margin={"t": 40, "b": 20}
     )
-    return str(picture.to_html(full_html=False, include_plotlyjs="inline"))
+    return str(picture.to_html(full_html=False, include_plotlyjs="inline", config={"displayModeBar": False}))

@@ -79,7 +79,7 @@ def test_an_undated_calibration_is_of_no_known_age(calibration, path):
 
 def test_another_exposure_is_another_calibration(calibration, path):
     brighter = calibration.rig.model_copy(update={"camera_settings": "exposure 300"})
-    with pytest.raises(CalibrationError, match="camera_settings: calibrated '', found 'exposure 300'"):
+    with pytest.raises(CalibrationError, match="cameras set to what it does not say; they are set to exposure 300 now"):
         Calibration.load(path, brighter)
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from mill_command import mill
 from pytest_mock import MockerFixture
 from served_bench import MILL, line_from, served_bench
 
-from calib.calibration_file import Calibration, RigIdentity
+from calib.calibration_file import Calibration, Provenance, RigIdentity
 from calib.camera_fit import fit_camera_pair
 from cli.config import load_rig
 from cli.rig import WiredRig
@@ -225,7 +226,7 @@ def test_who_holds_the_motion_port_does_not_keep_the_spindle_waiting(
     assert capsys.readouterr().out.splitlines() == [asked, "motion: stopped", "spindle: stopped"]
 
 
-def calibration_of_another_rig() -> Calibration:
+def calibration_of_another_rig(date: datetime) -> Calibration:
     """A good one, of a microscope that looks straight down."""
     points_mm = np.random.default_rng(0).uniform((0.0, -20.0, 0.0), (10.0, 0.0, 10.0), (16, 3))
     across_px, down_px = 480.0 + (points_mm[:, 1] + 10.0) / 0.0395, 270.0 + (points_mm[:, 0] - 5.0) / 0.0395
@@ -234,7 +235,8 @@ def calibration_of_another_rig() -> Calibration:
     )
     fit = fit_camera_pair(points_mm, left_px, right_px, size_px=(960, 540), detector_sigma_px=0.3)
     rig = RigIdentity(motion="stage 7", camera="eyes L1 R2")
-    return Calibration(fit.pair, "default", fit.model, {}, "right-handed", False, fit.rmse_mm, (), rig)
+    made = Provenance(date=date.isoformat(timespec="seconds"))
+    return Calibration(fit.pair, "default", fit.model, {}, "right-handed", False, fit.rmse_mm, (), rig, made)
 
 
 @pytest.mark.parametrize("command", [["run"], ["calibrate", "--verify"]])
@@ -246,7 +248,7 @@ def test_a_calibration_of_another_rig_moves_nothing(
     command: list[str],
 ) -> None:
     file = tmp_path / "other.toml"
-    calibration_of_another_rig().save(file)
+    calibration_of_another_rig(datetime.now(UTC)).save(file)
     home = mocker.spy(GrblController, "home")
     where = "--calibration" if command == ["run"] else "--out"
     record = ["--record", str(tmp_path / "run")] if command == ["run"] else []
@@ -257,6 +259,20 @@ def test_a_calibration_of_another_rig_moves_nothing(
         assert part in said
     assert home.call_count == 0
     assert not (tmp_path / "run").exists()
+
+
+def test_an_old_calibration_moves_nothing(
+    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], mocker: MockerFixture
+) -> None:
+    file = tmp_path / "old.toml"
+    calibration_of_another_rig(datetime.now(UTC) - timedelta(hours=200)).save(file)
+    home = mocker.spy(GrblController, "home")
+    assert mill("run", "--rig", str(bench), "--calibration", str(file), "--record", str(tmp_path / "run")) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    for part in (str(file), "200 h old", "allowed 168 h", "max_age_h", "mill calibrate"):
+        assert part in said
+    assert home.call_count == 0
 
 
 def test_sigterm_brings_a_moving_jog_to_rest(bench: Path) -> None:

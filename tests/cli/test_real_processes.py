@@ -102,6 +102,7 @@ def test_calibrate_writes_a_calibration_that_may_mill(rig: Rig) -> None:
     figures = json.loads(rig.calibrate_json.read_text())
     assert figures["rmse_mm"] == pytest.approx(known.rmse_mm, abs=1e-6)
     assert figures["file"] == str(rig.calibration)
+    assert "Setpoints" in Path(figures["report"]).read_text(encoding="utf-8")
     assert "truth" not in figures, "a rig file does not say that its devices are emulated"
 
 

@@ -165,6 +165,20 @@ def test_drops_can_be_poured(scope: Microscope) -> None:
     assert after[1] < 0.7 * before[1]
 
 
+def test_a_film_of_blood_reddens_bone_and_kerf_alike(scope: Microscope) -> None:
+    path = ring(scope)
+    scope.machine.carve(path, 0.1)
+    floor = np.column_stack([path, scope.machine.skull.surface.outer_z(path[:, 0], path[:, 1]) - 0.1])
+    inside = np.round(scope.project(floor)[0]).astype(int)
+    beside = inside + np.array([30, 0])
+    green = []
+    for cover in (0.0, 0.3, 0.6):
+        scope.smear(cover)
+        image = scope.render(0.0)[0].astype(float)
+        green.append([image[at[:, 1], at[:, 0], 1].mean() for at in (inside, beside)])
+    assert (np.diff(green, axis=0) < -5.0).all()
+
+
 def test_a_picture_may_be_taken_while_the_machine_cuts(scope: Microscope) -> None:
     path = ring(scope, 400)
     failures: list[BaseException] = []

@@ -89,6 +89,13 @@ def test_shipped_weights_are_small_and_as_described(task):
 
 def test_weights_of_another_task_are_refused(weights):
     write_manifest(weights, {"task": "tip"})
-    assert Network(weights, "tip").sha256
     with pytest.raises(ConfigError, match="weights for tip; those for landmarks are needed"):
         Network(weights, "landmarks")
+
+
+def test_weights_of_another_version_are_refused(weights):
+    write_manifest(weights, {"task": "tip"})
+    with pytest.raises(
+        ConfigError, match=r"takes x, picture is needed: another version of mill .* mill train tip --out"
+    ):
+        Network(weights, "tip")
