@@ -35,7 +35,7 @@ class Split:
 
 
 SPLITS = {
-    "train": Split(10_000_000, {"tip": 150, "landmarks": 240, "completion": 120}),
+    "train": Split(10_000_000, {"tip": 150, "landmarks": 320, "completion": 120}),
     "validation": Split(20_000_000, {"tip": 12, "landmarks": 20, "completion": 24}),
     "test": Split(30_000_000, {"tip": 12, "landmarks": 20, "completion": 24}),
 }
