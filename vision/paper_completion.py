@@ -18,7 +18,7 @@ from vision.samples import Data
 from vision.strip import CELL_PX, CELLS
 from vision.training import CHECKS, Batch, Recipe
 
-WIDTHS = (24, 48, 96)
+WIDTHS = (16, 32, 64)
 DONE_FROM = 0.95
 """Completion that counts as through: the paper names no threshold."""
 KERF_FROM = 0.05
@@ -51,7 +51,7 @@ class PaperCompletionTask(CompletionTask):
     """Read the ring as the paper does. Data as of ``CompletionTask``."""
 
     recipes: Mapping[str, Recipe] = {
-        "paper": Recipe(epochs=8, batch=16, learning_rate=1e-3, plan="three-rates", patience=CHECKS)
+        "paper": Recipe(epochs=5, batch=16, learning_rate=1e-3, plan="three-rates", patience=CHECKS)
     }
 
     def __init__(self, *, widths: tuple[int, ...] = WIDTHS) -> None:
