@@ -30,7 +30,7 @@ def page(manifest: dict[str, dict[str, Any]], results: Sequence[dict[str, Any]])
         "",
         "## Networks, on specimens and rigs that training never saw",
         "",
-        "Made by `mill train tip|landmarks|completion --out vision/weights/NAME.onnx`, measured by `mill evaluate`;",
+        "Made by `make weights`, which runs `mill train tip|landmarks|completion`, measured by `mill evaluate`;",
         "the figures are those in `vision/weights/manifest.json`.",
         "",
     ]
@@ -71,6 +71,12 @@ def _experiment(result: dict[str, Any]) -> list[str]:
         "succeeded, with their 95 % interval over specimens. The last column is no simulation.",
         "",
     ]
+    if what == "completion":
+        lines += [
+            "Ours runs in ONNX Runtime, fp32; the network of the paper's kind (ResNet-101, boxes and heat map of the",
+            "whole picture) in torch as it comes, fp32, in the same run; each on one thread.",
+            "",
+        ]
     for table in tables(what, recipes, result["published"]):
         lines += [f"**{table.title}**", "", f"| {' | '.join(table.headings)} |", "|---" * len(table.headings) + "|"]
         lines += [*(f"| {' | '.join(row)} |" for row in table.rows), ""]

@@ -74,7 +74,6 @@ def test_mills_own_network_is_measured_on_a_specimen_of_a_file(tiny: Path, capsy
         (["train", "mouse", "--out", "x.onnx"], ["TASK", "mouse", "landmarks", "mill train --help"]),
         (["train", "tip"], ["--out"]),
         (["train", "tip", "--recipe", "mine", "--out", "x.onnx"], ["--recipe", "mine", "paper", "default"]),
-        (["train", "completion", "--recipe", "paper", "--out", "x.onnx"], ["--recipe paper", "completion", "default"]),
         (["train", "tip", "--out", "file/x.onnx"], ["file", "name another place"]),
         (["train", "tip", "--out", "."], ["--out", "directory"]),
         (["evaluate", "mouse"], ["TASK", "mouse", "landmarks", "mill evaluate --help"]),
