@@ -8,8 +8,8 @@ import numpy.typing as npt
 
 from calib.calibration_file import Calibration
 from calib.procedure import RMSE_LIMIT_MM
+from cli.reports.template import filled
 
-TEMPLATE = Path(__file__).with_name("calibration_report.html")
 PAPER_RMSE_MM = 0.77
 LONGER_PX, LONGER_MM = 40.0, 20.0
 """Residuals are drawn so many times as long as they are."""
@@ -20,10 +20,8 @@ Floats = npt.NDArray[np.float64]
 
 def write_calibration_report(path: Path, calibration: Calibration, file: Path, duration_s: float) -> None:
     """Write a self-contained page to ``path`` about the calibration that was saved as ``file``."""
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    page = environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+    page = filled(
+        "calibration_report.html",
         calibration=calibration,
         file=file,
         figures=_figures(calibration, duration_s),

@@ -8,9 +8,9 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+from cli.reports.template import filled
 from milling.record import Run, read_run
 
-TEMPLATE = Path(__file__).with_name("run_report.html")
 CROP_RADII = 1.7
 """Half the side of the picture shown, in ring radii."""
 
@@ -28,10 +28,7 @@ def write_report(folder: Path) -> Path:
 
 def render(run: Run) -> str:
     """The page."""
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(page(run))
+    return filled("run_report.html", **page(run))
 
 
 def page(run: Run) -> dict[str, Any]:

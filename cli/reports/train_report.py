@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from cli.reports.template import filled
 from vision.training import History, Worst
 
-TEMPLATE = Path(__file__).with_name("train_report.html")
 LEFT, RIGHT, TOP, BOTTOM = 56.0, 750.0, 10.0, 205.0
 """The chart's edges in the template's units."""
 DOTS = 240
@@ -26,13 +26,8 @@ def write_train_report(
     worst: Sequence[Worst],
 ) -> None:
     """Write a self-contained page to ``path``."""
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     cases = [{"data": _embedded(case.picture), "caption": case.caption} for case in worst]
-    page = environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
-        title=title, about=about, figures=figures, worst=cases, chart=_chart(history)
-    )
+    page = filled("train_report.html", title=title, about=about, figures=figures, worst=cases, chart=_chart(history))
     path.write_text(page, encoding="utf-8")
 
 
