@@ -16,14 +16,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import numpy.typing as npt
 import tomlkit
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, ValidationError
 
 from calib.camera_pair import N_PARAMETERS, CameraPair, Optics
 from calib.setpoints import box_points
 from calib.transform import Array
 from drivers.errors import ConfigError, WrongCalibrationError
 
-SCHEMA = 1
+SCHEMA = 2
 _CLOCK_ERROR_H = 0.1
 _SEAL = re.compile(r'sha256 = "([0-9a-f]{64})"\n')
 
@@ -85,12 +85,12 @@ class _Optics(_Strict):
 class _Eyes(_Strict):
     left: _Eye
     right: _Eye
-    sigma_px: float = Field(ge=0)
+    sigma_px: tuple[NonNegativeFloat, NonNegativeFloat]
     covariance: Annotated[list[_Row], Field(min_length=2 * N_PARAMETERS, max_length=2 * N_PARAMETERS)]
 
 
 class _File(_Strict):
-    schema_: Literal[1] = Field(alias="schema")
+    schema_: Literal[2] = Field(alias="schema")
     recipe: str
     model: str
     handedness: Literal["right-handed", "untested"]
@@ -236,7 +236,7 @@ def _body(calibration: Calibration) -> str:
             },
             "setpoints": [_plain(setpoint.model_dump()) for setpoint in calibration.setpoints],
             "eyes": {
-                "sigma_px": pair.sigma_px,
+                "sigma_px": list(pair.sigma_px),
                 "left": pair.left.tolist(),
                 "right": pair.right.tolist(),
                 "covariance": pair.covariance.tolist(),

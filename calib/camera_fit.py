@@ -35,8 +35,8 @@ _OUTLIER_FLOOR_PX = 1.0
 _SURE_SHARE = 0.6
 _READMISSIONS = 5
 _MAX_OUTLIER_SHARE = 0.25
-_PRIOR_DOF = 4.0
-"""Weight, in degrees of freedom, of the detector's own sigma against that of the residuals."""
+_PRIOR_DOF = 2.0
+"""Weight, in degrees of freedom of x and of y, of the detector's own sigma against that of the residuals."""
 _STEPS = 5
 
 
@@ -201,7 +201,7 @@ def _linear_eyes(model: StereoModel, transform: RigidTransform, optics: Optics) 
 
 
 def _bare_pair(optics: Optics, left: Array, right: Array) -> CameraPair:
-    return CameraPair(optics, left, right, np.zeros((2 * N_PARAMETERS, 2 * N_PARAMETERS)), 0.0)
+    return CameraPair(optics, left, right, np.zeros((2 * N_PARAMETERS, 2 * N_PARAMETERS)), (0.0, 0.0))
 
 
 def _fit_pair(
@@ -215,8 +215,9 @@ def _fit_pair(
     covariance = np.zeros((2 * N_PARAMETERS, 2 * N_PARAMETERS))
     for start, (eye, basis) in zip((0, N_PARAMETERS), eyes, strict=True):
         jacobian = (eye_jacobians(eye, optics, points)[2] @ basis).reshape(-1, basis.shape[1])
-        inverse = np.linalg.inv(jacobian.T @ jacobian)
-        covariance[start : start + N_PARAMETERS, start : start + N_PARAMETERS] = sigma**2 * basis @ inverse @ basis.T
+        # The fit weighs x and y alike, though one is seen better than the other: what each brings into the estimate.
+        step = basis @ np.linalg.pinv(jacobian) * np.tile(sigma, len(points))
+        covariance[start : start + N_PARAMETERS, start : start + N_PARAMETERS] = step @ step.T
     return CameraPair(optics, eyes[0][0], eyes[1][0], covariance, sigma)
 
 
@@ -359,10 +360,12 @@ def _require_motion(left: Array, right: Array) -> None:
             )
 
 
-def _sigma_px(residuals: Array, n_parameters: int, detector_sigma_px: float) -> float:
-    """The residuals' sigma, steadied by the detector's claim where few degrees of freedom are left."""
-    dof = max(0, residuals.size - n_parameters)
-    return float(np.sqrt(((residuals**2).sum() + _PRIOR_DOF * detector_sigma_px**2) / (dof + _PRIOR_DOF)))
+def _sigma_px(residuals: Array, n_parameters: int, detector_sigma_px: float) -> tuple[float, float]:
+    """The sigmas of x and y by (n, 4) residuals, steadied by the detector's claim where few degrees are left."""
+    dof = max(0.0, (residuals.size - n_parameters) / 2)
+    squares = (residuals**2).sum(axis=0)
+    x, y = ((squares[:2] + squares[2:]) + _PRIOR_DOF * detector_sigma_px**2) / (dof + _PRIOR_DOF)
+    return float(np.sqrt(x)), float(np.sqrt(y))
 
 
 def _report(

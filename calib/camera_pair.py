@@ -95,8 +95,11 @@ class CameraPair:
     """(12,) parameters of the right eye."""
     covariance: Array
     """(24, 24) of left and right parameters; zero where a model keeps a parameter fixed."""
-    sigma_px: float
-    """1-sigma of one pixel coordinate of one sighting (the median of a setpoint's frames), as the residuals show it."""
+    sigma_px: tuple[float, float]
+    """1-sigma of the x and of the y of one sighting (the median of a setpoint's frames), as the residuals show them.
+
+    They differ: a drill leans along one of them, and height is read from x alone.
+    """
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[Array, Array]:
         """Pixels (n, 2) in the left and in the right picture of points (n, 3) in {R}."""
@@ -111,7 +114,7 @@ class CameraPair:
         Args:
             left_px: pixels in the left picture.
             right_px: the same points in the right picture.
-            sigma_px: 1-sigma of one coordinate, one number or (n,); the calibration's own where left out.
+            sigma_px: 1-sigma of either coordinate, one number or (n,); the calibration's own where left out.
 
         Raises:
             CalibrationError: a pixel is not finite, or no point within a metre explains it.
@@ -121,9 +124,7 @@ class CameraPair:
             raise ValueError(f"{len(left)} left and {len(right)} right pixels; as many of each wanted")
         if not (np.isfinite(left).all() and np.isfinite(right).all()):
             raise CalibrationError("points_from_pixels: a pixel is not finite; drop what was not detected")
-        sigma = np.broadcast_to(
-            np.asarray(self.sigma_px if sigma_px is None else sigma_px, dtype=np.float64), len(left)
-        )
+        sigma = None if sigma_px is None else np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(left))
         points, covariance = np.empty((len(left), 3)), np.empty((len(left), 3, 3))
         for start in range(0, len(left), _CHUNK):
             part = slice(start, start + _CHUNK)
@@ -132,18 +133,19 @@ class CameraPair:
                 raise CalibrationError(
                     "points_from_pixels: no point within a metre explains some pixels; drop matches that disagree"
                 )
-            covariance[part] = self.covariance_at(points[part], sigma[part])
+            covariance[part] = self.covariance_at(points[part], None if sigma is None else sigma[part])
         return points, covariance
 
     def covariance_at(self, points_mm: npt.ArrayLike, sigma_px: npt.ArrayLike | None = None) -> Array:
         """(n, 3, 3) mm^2: what one detection at each point (n, 3) would err by, parameters and pixels together."""
         points = _rows(points_mm, 3, "points_mm")
-        sigma = np.broadcast_to(
-            np.asarray(self.sigma_px if sigma_px is None else sigma_px, dtype=np.float64), len(points)
-        )
         by_point, by_parameters = self._jacobians(points)[1:]
         pixels = by_parameters @ self.covariance @ by_parameters.transpose(0, 2, 1)
-        pixels += sigma[:, None, None] ** 2 * np.eye(4)
+        if sigma_px is None:
+            pixels += self._detection_px2
+        else:
+            sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(points))
+            pixels += sigma[:, None, None] ** 2 * np.eye(4)
         gain = _gain(by_point)
         return np.asarray(gain @ pixels @ gain.transpose(0, 2, 1))
 
@@ -154,7 +156,7 @@ class CameraPair:
     def pixel_covariance_at(self, points_mm: npt.ArrayLike, point_sigma_mm: float = 0.0) -> Array:
         """(n, 4, 4) px^2 of (x_l, y_l, x_r, y_r) about the prediction for points known to ``point_sigma_mm``."""
         by_point, by_parameters = self._jacobians(_rows(points_mm, 3, "points_mm"))[1:]
-        pixels = by_parameters @ self.covariance @ by_parameters.transpose(0, 2, 1) + self.sigma_px**2 * np.eye(4)
+        pixels = by_parameters @ self.covariance @ by_parameters.transpose(0, 2, 1) + self._detection_px2
         return np.asarray(pixels + point_sigma_mm**2 * by_point @ by_point.transpose(0, 2, 1))
 
     def disagreement_px(self, left_px: npt.ArrayLike, right_px: npt.ArrayLike) -> Array:
@@ -174,6 +176,11 @@ class CameraPair:
         left, right = self.project(np.stack([x.ravel(), y.ravel(), np.full(x.size, z_mm)], axis=1))
         design = np.hstack([left, np.ones((len(left), 1))])
         return np.asarray(np.linalg.lstsq(design, right, rcond=None)[0].T, dtype=np.float64)
+
+    @property
+    def _detection_px2(self) -> Array:
+        """(4, 4) covariance of (x_l, y_l, x_r, y_r) of one sighting."""
+        return np.diag(np.square(self.sigma_px * 2))
 
     def _jacobians(self, points: Array) -> tuple[Array, Array, Array]:
         """Pixels (n, 4), derivatives by the point (n, 4, 3) and by all parameters (n, 4, 24)."""

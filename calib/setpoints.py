@@ -101,7 +101,7 @@ def nominal_pair() -> CameraPair:
         eye[8:11] = _NOMINAL_PERSPECTIVE_PER_MM * free_basis("perspective", eye)[8:11, 8]
         eyes.append(eye)
     covariance = np.zeros((2 * N_PARAMETERS, 2 * N_PARAMETERS))
-    return CameraPair(optics, eyes[0], eyes[1], covariance, 0.0)
+    return CameraPair(optics, eyes[0], eyes[1], covariance, (0.0, 0.0))
 
 
 def planned_pair(setpoints_mm: npt.ArrayLike, *, sigma_px: float, model: str = "radial") -> CameraPair:
@@ -121,7 +121,7 @@ def planned_pair(setpoints_mm: npt.ArrayLike, *, sigma_px: float, model: str = "
             )
         part = slice(start, start + N_PARAMETERS)
         covariance[part, part] = sigma_px**2 * basis @ np.linalg.inv(jacobian.T @ jacobian) @ basis.T
-    return CameraPair(nominal.optics, nominal.left, nominal.right, covariance, sigma_px)
+    return CameraPair(nominal.optics, nominal.left, nominal.right, covariance, (sigma_px, sigma_px))
 
 
 def choose(candidates_mm: Array, count: int, region_mm: Array, *, model: str = "radial") -> list[int]:

@@ -48,14 +48,14 @@ class StereoModel:
         half = self.disparity_px_per_mm * (points[..., 2] - self.depth_offset_mm) / 2
         return np.stack([x + half, y], axis=-1), np.stack([x - half, y], axis=-1)
 
-    def covariance_mm2(self, sigma_px: float) -> Array:
-        """(3, 3) of one point's error when all four coordinates err independently by ``sigma_px``."""
-        mean, difference = sigma_px**2 / 2, sigma_px**2 * 2
+    def covariance_mm2(self, sigma_px: tuple[float, float]) -> Array:
+        """(3, 3) of one point's error when x and y of both eyes err independently by ``sigma_px``."""
+        x_px2, y_px2 = np.square(sigma_px)
         return np.diag(
             [
-                self.pitch_x_mm_per_px**2 * mean,
-                self.pitch_y_mm_per_px**2 * mean,
-                difference / self.disparity_px_per_mm**2,
+                self.pitch_x_mm_per_px**2 * x_px2 / 2,
+                self.pitch_y_mm_per_px**2 * y_px2 / 2,
+                2 * x_px2 / self.disparity_px_per_mm**2,
             ]
         )
 

@@ -86,7 +86,8 @@ def summary(trials: Mapping[str, Figures]) -> dict[str, Figures]:
             holds = (ratios <= PREDICTED_WITHIN) & (ratios >= 1 / PREDICTED_WITHIN)
             figures["predicted_over_true"] = float(np.median(ratios))
             figures.update(share_of("predicted_within_1.5", int(holds.sum()), len(holds)))
-            figures["tip_worst_px"] = max(trial["tip_worst_px"] for trial in good)
+            errors_px = np.concatenate([trial["tip_errors_px"] for trial in good])
+            figures["tip_p99_px"], figures["tip_worst_px"] = float(np.percentile(errors_px, 99)), float(errors_px.max())
             figures["bench_time_s"] = max(trial["duration_s"] for trial in good)
     return result
 

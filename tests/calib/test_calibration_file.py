@@ -149,7 +149,7 @@ def test_a_file_that_is_no_text_is_refused(path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("schema = 1", "schema = 2", "key schema: found 2, allowed 1"),
+        ("schema = 2", "schema = 1", "key schema: found 1, allowed 2"),
         ('recipe = "default"', 'recipe = "default"\nspeed = 3', "key speed: found 3: Extra inputs"),
         ("half_diagonal_px = 5", "half_diagonal_px = -5", r"key optics\.half_diagonal_px: found -5.*greater than 0"),
         ("not_for_milling = false", 'not_for_milling = "maybe"', r"key not_for_milling: found 'maybe'"),

@@ -126,7 +126,7 @@ def test_erratum_5_the_mean_of_both_eyes_removes_the_shear_of_toed_in_axes():
 
 def test_erratum_6_independent_errors_add_in_quadrature():
     # Disparity is a difference of two independent coordinates, x their mean: sqrt(2) and 1/sqrt(2), not 2 and 1.
-    sigma = np.sqrt(np.diag(PAPER_MODEL.covariance_mm2(1.0)))
+    sigma = np.sqrt(np.diag(PAPER_MODEL.covariance_mm2((1.0, 1.0))))
     assert sigma[2] * PAPER_MODEL.disparity_px_per_mm == pytest.approx(np.sqrt(2))
     assert sigma[0] / PAPER_MODEL.pitch_x_mm_per_px == pytest.approx(1 / np.sqrt(2))
     # The paper's keypoints: 1.19 px and 1.73 px at one third give 0.98 px, not 1.37 px.

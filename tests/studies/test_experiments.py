@@ -19,7 +19,7 @@ def test_a_calibration_is_scored_in_the_box(rig):
     assert ours["setpoints_seen"] >= 15
     assert 0.0 < ours["rmse_center_mm"] < 0.3
     assert 10.0 < ours["duration_s"] < 120.0
-    assert ours["tip_rmse_px"] <= ours["tip_worst_px"] < 5.0
+    assert ours["tip_rmse_px"] <= max(ours["tip_errors_px"]) < 5.0
 
 
 def test_the_papers_recipe_is_worse_on_the_same_rig(rig):
@@ -33,6 +33,7 @@ def test_the_summary_counts_what_failed(rig):
     figures = calibration_trials.summary({**rig, "other": failed})
     assert (figures["default"]["trials"], figures["default"]["failed"]) == (2, 1)
     assert figures["default"]["rmse_mm"] == pytest.approx(rig["default"]["rmse_mm"])
+    assert figures["default"]["tip_rmse_px"] < figures["default"]["tip_p99_px"] <= figures["default"]["tip_worst_px"]
 
 
 def test_one_rig_is_asked_for_the_same_places_by_every_recipe():
