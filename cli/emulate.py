@@ -4,24 +4,28 @@ import os
 import select
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from cli.options import seed_option, specimen_option
+from cli.options import fault_option, seed_option, specimen_option
 from drivers.errors import ConfigError
 
 if TYPE_CHECKING:
+    from drivers.clock import Clock
     from firmware_sim.bench import Dialect
+    from firmware_sim.faults import Fault
     from firmware_sim.serve import BenchService, ServiceStatus
+    from milling.eyes import CompletionReader
 
 
 @click.command()
 @specimen_option
 @seed_option
+@fault_option
 @click.option(
     "--rig-out",
     type=click.Path(path_type=Path),
@@ -48,6 +52,7 @@ if TYPE_CHECKING:
 def emulate(
     specimen: Path | None,
     seed: int,
+    faults: tuple[str, ...],
     rig_out: Path | None,
     dialect: "Dialect",
     fps: float,
@@ -59,17 +64,22 @@ def emulate(
     It prints a rig file that points at them; use it from another terminal. Ctrl-C ends it.
     """
     from firmware_sim.bench import Bench
+    from firmware_sim.faults import parse_faults
     from firmware_sim.serve import BenchService, write_atomically
     from firmware_sim.specimen import specimen_for
 
     for path in (rig_out, truth_out):
         if path is not None and not path.parent.is_dir():
             raise ConfigError(f"{path}: no folder {path.parent}; make it, or name another file")
+    planted = parse_faults(faults)
+    if host := [str(fault) for fault in planted if fault.kind.place == "host"]:
+        raise ConfigError(f"fault {', '.join(host)}: not of the bench; give it to `mill run --emulate --fault`")
     drawn = specimen_for(seed, specimen)
     if sys.stderr.isatty():
         click.echo("Preparing the bench...", err=True)
-    with _stop_signals() as stopped, BenchService(Bench(drawn, dialect=dialect), fps=fps) as service:
-        text = rig_text(service, f"virtual bench, seed {seed}" + (f", {specimen.name}" if specimen else ""))
+    with _stop_signals() as stopped, BenchService(Bench(drawn, dialect=dialect, faults=planted), fps=fps) as service:
+        name = ", ".join([f"virtual bench, seed {seed}", *([specimen.name] if specimen else []), *map(str, planted)])
+        text = rig_text(service, name)
         if rig_out is None:
             click.echo(text)
             click.echo("Save this as rig.toml (or use --rig-out rig.toml), then in another terminal: ", nl=False)
@@ -86,6 +96,24 @@ def emulate(
         service.run(ended, on_status=_show if show else None, truth_file=truth_out)
         if show:
             click.echo()
+
+
+def sorted_faults(texts: Iterable[str]) -> "tuple[tuple[Fault, ...], tuple[Fault, ...]]":
+    """The faults of the bench, and those of the program that uses it.
+
+    Raises:
+        ConfigError: one of them is not known; the message says which there are.
+    """
+    from firmware_sim.faults import parse_faults
+
+    return parse_faults(texts, place="bench"), parse_faults(texts, place="host")
+
+
+def spoiled(reader: "CompletionReader", faults: "Sequence[Fault]", clock: "Clock", *, seed: int) -> "CompletionReader":
+    """The reader behind the faults of its family; itself where there are none."""
+    from firmware_sim.faulty_reader import FaultyReader
+
+    return FaultyReader(reader, faults, clock, seed=seed) if faults else reader
 
 
 def rig_text(service: "BenchService", name: str) -> str:

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cli.bars import counter, progress_bars
-from cli.options import json_option
+from cli.options import fault_option, json_option
 from cli.output import console_beside, write_json
 from drivers.errors import ConfigError
 
 if TYPE_CHECKING:
+    from milling.job import PolicyName
     from studies.tables import Table
     from studies.trials import World
 
@@ -125,6 +126,60 @@ def completion(
             )
     trials = study.trials_of(chosen, paper_weights)
     _study("completion", study.read_one, trials, study, chosen, workers, out, json_file, stamp=stamp, beside=measure)
+
+
+@experiment.command()
+@click.option(
+    "--trials", type=click.IntRange(1), metavar="N", help="Mice for each policy. [default: 20, or one per file]"
+)
+@seed_option
+@specimens_option
+@click.option(
+    "--policy",
+    "policies",
+    type=click.Choice(["default", "paper", "previous"]),
+    multiple=True,
+    help="How to go deeper; more may be given. [default: default]",
+)
+@click.option(
+    "--statistical", is_flag=True, help="Draw what pictures show from measured errors; for thousands of mice."
+)
+@fault_option
+@workers_option
+@out_option
+@json_option
+def milling(
+    trials: int | None,
+    seed: int,
+    specimens: Path | None,
+    policies: tuple["PolicyName", ...],
+    statistical: bool,
+    faults: tuple[str, ...],
+    workers: int,
+    out: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Experiment 3: whole windows of virtual mice, by policy, on the same mice.
+
+    With full pixels a mouse takes a minute or two of one core. Success is the paper's criterion: the flap can be
+    lifted and the membrane was never touched; a run that holds is a failure.
+    """
+    from cli.emulate import sorted_faults
+    from studies import milling_trials as study
+    from studies.perception import FILE, donors
+    from studies.trials import worlds
+
+    planted = [str(fault) for group in sorted_faults(faults) for fault in group]
+    chosen = worlds(trials, seed, specimens)
+    asked = list(dict.fromkeys(policies or ("default",)))
+    stamp = {"faults": " ".join(planted), "eyes": "full pixels"}
+    if statistical:
+        donors()
+        stamp["eyes"] = f"statistical {sha256(FILE.read_bytes()).hexdigest()}"
+    arguments = study.trials_of(chosen, asked, planted, statistical, None if statistical else out)
+    if out:
+        out.mkdir(parents=True, exist_ok=True)
+    _study("milling", study.mill_one, arguments, study, chosen, workers, out, json_file, stamp=stamp)
 
 
 def _study(

@@ -31,6 +31,13 @@ seed_option = click.option(
     show_default=True,
     help="Draws specimen and rig of the virtual bench.",
 )
+fault_option = click.option(
+    "--fault",
+    "faults",
+    multiple=True,
+    metavar="NAME[=VALUE][@TIME]",
+    help="Plant a fault in the virtual bench, such as camera.stuck@30s; docs/faults.md lists them.",
+)
 json_option = click.option(
     "--json",
     "json_file",
@@ -49,6 +56,7 @@ class BenchChoice:
     emulate: bool = False
     specimen: Path | None = None
     seed: int = 0
+    faults: tuple[str, ...] = ()
 
     @property
     def drawn_from(self) -> int | None:
@@ -57,11 +65,13 @@ class BenchChoice:
 
 
 def on_a_bench(command: Callable[..., None]) -> Callable[..., None]:
-    """Add --rig, --emulate, --specimen and --seed; the command gets them as its first argument, a ``BenchChoice``."""
+    """Add --rig, --emulate, --specimen, --seed, --fault; the command's first argument is a ``BenchChoice`` of them."""
 
     @wraps(command)
-    def with_choice(rig: Path | None, emulate: bool, specimen: Path | None, seed: int, **others: object) -> None:
-        command(BenchChoice(rig, emulate, specimen, seed), **others)
+    def with_choice(
+        rig: Path | None, emulate: bool, specimen: Path | None, seed: int, faults: tuple[str, ...], **others: object
+    ) -> None:
+        command(BenchChoice(rig, emulate, specimen, seed, faults), **others)
 
     # The last one added is the first that the help shows.
-    return rig_option(emulate_option(specimen_option(seed_option(with_choice))))
+    return rig_option(emulate_option(specimen_option(seed_option(fault_option(with_choice)))))

@@ -8,7 +8,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -16,6 +16,7 @@ from typing import Any, Protocol, cast
 import click
 
 from cli.config import Cia402SpindleTable, GrblMotion, OpenCvCamera, OtherBackend, RigConfig, load_rig
+from cli.emulate import sorted_faults
 from cli.options import BenchChoice
 from drivers.backends import load_backend
 from drivers.camera.interface import StereoCamera
@@ -167,8 +168,10 @@ def open_opencv(table: OpenCvCamera, clock: Clock) -> StereoCamera:
 
 
 @contextlib.contextmanager
-def rig_for(chosen: BenchChoice) -> Iterator[Rig]:
+def rig_for(chosen: BenchChoice, *, reads_completion: bool = False) -> Iterator[Rig]:
     """The rig of a file, or a virtual bench that lives as long as the with-statement.
+
+    ``reads_completion`` says that the command plants the faults of its own networks itself.
 
     Raises:
         click.UsageError: neither or both were asked for.
@@ -179,14 +182,19 @@ def rig_for(chosen: BenchChoice) -> Iterator[Rig]:
     if chosen.rig_file is not None:
         if chosen.specimen is not None:
             raise click.UsageError("--specimen belongs to --emulate; with --rig the specimen is what lies on the bench")
+        if chosen.faults:
+            raise click.UsageError("--fault belongs to --emulate or `mill emulate`; no fault is planted on a rig")
         yield WiredRig(load_rig(chosen.rig_file), SystemClock())
         return
-    with _served_bench(chosen.specimen, chosen.seed) as rig:
+    planted, own = sorted_faults(chosen.faults)
+    if own and not reads_completion:
+        raise click.UsageError(f"--fault {own[0]}: belongs to `mill run --emulate`, which reads completion")
+    with _served_bench(chosen.specimen, chosen.seed, [str(fault) for fault in planted]) as rig:
         yield rig
 
 
 @contextlib.contextmanager
-def _served_bench(specimen: Path | None, seed: int) -> Iterator[WiredRig]:
+def _served_bench(specimen: Path | None, seed: int, faults: Sequence[str]) -> Iterator[WiredRig]:
     """Start `mill emulate` as its own process, on ptys and ports, for as long as the with-statement."""
     if specimen is not None and not specimen.is_file():
         raise ConfigError(f"{specimen}: no such specimen file; docs/specimen.md says how to write one")
@@ -195,6 +203,7 @@ def _served_bench(specimen: Path | None, seed: int) -> Iterator[WiredRig]:
         command = [sys.executable, "-m", "cli.main", "emulate", "--seed", str(seed), "--until-stdin-closes"]
         command += ["--rig-out", str(rig_file), "--truth-out", str(truth_file)]
         command += ["--specimen", str(specimen)] if specimen else []
+        command += [word for fault in faults for word in ("--fault", fault)]
         with log_file.open("w") as log:
             # A session of its own: Ctrl-C at the terminal is for the command, which still needs the bench to stop well.
             process = subprocess.Popen(

@@ -3,7 +3,7 @@
 import contextlib
 import signal
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cli.calibrate import calibrate_rig, calibration_path, rig_identity
+from cli.emulate import sorted_faults, spoiled
 from cli.options import BenchChoice, json_option, on_a_bench
 from cli.output import console_beside, write_json
 from cli.rig import Rig, rig_for
@@ -19,6 +20,9 @@ from drivers.errors import ConfigError
 
 if TYPE_CHECKING:
     from calib.calibration_file import Calibration
+    from drivers.clock import Clock
+    from drivers.motion.interface import MotionController
+    from milling.guard import Guard
 
 
 @click.command()
@@ -53,17 +57,19 @@ def run(
     from milling.loop import Finders
     from milling.record import RunRecorder
     from vision.completion import CompletionReader
+    from vision.disparity import match
     from vision.keypoints import LandmarkFinder, TipFinder
 
     console = console_beside(json_file)
     folder = record or Path("runs") / datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
     if (folder / "events.jsonl").exists():
         raise ConfigError(f"{folder}: holds a run already, which is kept; name another --record folder")
-    with _stop_signals() as stop_requested, rig_for(chosen) as bench:
+    with _stop_signals() as stop_requested, rig_for(chosen, reads_completion=True) as bench:
         own = bench.config.weights
         tip, landmarks = TipFinder.load(own.tip), LandmarkFinder.load(own.landmarks)
         completion = CompletionReader.load(own.completion)
         weights = {"tip": tip.sha256, "landmarks": landmarks.sha256, "completion": completion.sha256}
+        planted, own_faults = sorted_faults(chosen.faults)
         job = Job.from_table(_job_table(bench, choices))
         path = calibration or calibration_path(bench.config.name)
         age: dict[str, Any] = {"now": datetime.now(UTC), "max_age_h": bench.config.calibration.max_age_h}
@@ -87,13 +93,15 @@ def run(
                 "identity": identity.model_dump(),
                 "seed": chosen.drawn_from,
                 "specimen": str(chosen.specimen) if chosen.specimen else None,
+                "faults": [str(fault) for fault in (*planted, *own_faults)],
                 "job": asdict(job),
                 "weights": weights,
                 "calibration": _calibration_header(known),
             }
             with RunRecorder(folder, header, bench.clock, on_loss=console.print) as recorder:
                 known.save(folder / "calibration.toml")
-                finders = Finders(tip.find, landmarks.find, completion)
+                reader = spoiled(completion, own_faults, bench.clock, seed=chosen.seed)
+                finders = Finders(tip.find, landmarks.find, reader, match)
                 rig_ = loop.Rig(
                     motion,
                     spindle,
@@ -103,8 +111,16 @@ def run(
                     bench.config.bench.park_mm,
                 )
                 scorer = Scorer(recorder, bench)
-                with watched(console) as tell:
-                    result = loop.run(rig_, known, finders, job, scorer, progress=tell, stop_requested=stop_requested)
+                with watched(console) as tell, _guarded(motion, bench.clock) as guard:
+                    result = loop.run(
+                        replace(rig_, guard=guard),
+                        known,
+                        finders,
+                        job,
+                        scorer,
+                        progress=tell,
+                        stop_requested=stop_requested,
+                    )
                 recorder.close(result.to_json())
         truth = scorer.truth(result)
     report = write_report(folder)
@@ -149,6 +165,14 @@ def write_report(folder: Path) -> Path:
     from cli.reports.run_report import write_report as write
 
     return write(folder)
+
+
+def _guarded(motion: "MotionController", clock: "Clock") -> "contextlib.AbstractContextManager[Guard | None]":
+    """A supervisor process for the motion, where one can reach its wire."""
+    from milling.guard import Guard
+
+    path = motion.stop_path
+    return contextlib.nullcontext() if path is None else Guard(path, clock)
 
 
 @contextlib.contextmanager

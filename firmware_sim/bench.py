@@ -1,17 +1,20 @@
 """The virtual bench: one world with its motion board, spindle drive, CAN adapter and cameras."""
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Final, Literal
 
+from drivers.errors import ConnectionLostError
 from firmware_sim.can_wire import CanWire
 from firmware_sim.cia402_drive import Cia402Drive
 from firmware_sim.clock import TICK_S, SimClock
+from firmware_sim.faults import Fault
 from firmware_sim.grbl_board import GrblBoard
 from firmware_sim.lines import InProcessBus, InProcessLine, InProcessSource, in_process_sources
 from firmware_sim.machine import Machine
-from firmware_sim.microscope import Microscope
+from firmware_sim.microscope import EachEye, Image, Microscope, Shot
+from firmware_sim.sabotage import Sabotage
 from firmware_sim.slcan_adapter import SlcanAdapter
 from firmware_sim.specimen import Specimen, draw_specimen
 
@@ -39,10 +42,17 @@ _DIALECT_SETTINGS: Final[Mapping[Dialect, Mapping[str, float]]] = {"gnea": {"$10
 class Bench:
     """Every board of the bench, on one time.
 
-    Left out: power switches, the operator's hands, temperature, and cables that fail.
+    Left out: power switches, the operator's hands, and temperature.
     """
 
-    def __init__(self, specimen: Specimen | None = None, *, dialect: Dialect = "gnea", seed: int = 0) -> None:
+    def __init__(
+        self,
+        specimen: Specimen | None = None,
+        *,
+        dialect: Dialect = "gnea",
+        seed: int = 0,
+        faults: Sequence[Fault] = (),
+    ) -> None:
         """A bench that was just switched on; without a specimen, one is drawn from ``seed``."""
         self.specimen = draw_specimen(seed) if specimen is None else specimen
         self.machine = Machine(self.specimen)
@@ -55,6 +65,9 @@ class Bench:
         self.can = CanWire([self.drive])
         self.adapter = SlcanAdapter(self.can)
         self.now_s = 0.0
+        self._sabotage = Sabotage(self, tuple(faults), seed=self.specimen.seed) if faults else None
+        if self._sabotage is not None:
+            self.can.carries = self._sabotage.carries
 
     @property
     def serial_number(self) -> int:
@@ -66,10 +79,53 @@ class Bench:
         """Both pictures; made on first use, because its first picture takes a while."""
         return Microscope(self.machine)
 
+    def receive(self, data: bytes) -> None:
+        """Bytes of the host on the motion port.
+
+        Raises:
+            ConnectionLostError: somebody has pulled its plug.
+        """
+        self._require_plug()
+        self.board.receive(data if self._sabotage is None else self._sabotage.from_host(data))
+
+    def transmit(self) -> bytes:
+        """The motion port's bytes for the host since the last call.
+
+        Raises:
+            ConnectionLostError: somebody has pulled its plug.
+        """
+        self._require_plug()
+        data = self.board.transmit()
+        return data if self._sabotage is None else self._sabotage.to_host(data)
+
+    @property
+    def unplugged(self) -> bool:
+        """Whether somebody has pulled the motion port's plug."""
+        return self._sabotage is not None and self._sabotage.unplugged
+
+    def _require_plug(self) -> None:
+        if self.unplugged:
+            raise ConnectionLostError("in-process:motion: the other side is gone; plug it in and home again")
+
+    def shoot(
+        self, time_s: float, *, each: EachEye = map, render: Callable[[float], tuple[Image, Image]] | None = None
+    ) -> Shot | None:
+        """Both pictures as the cameras give them; None where they give none.
+
+        ``each`` draws the eyes side by side; ``render`` stands where the microscope stands.
+        """
+
+        def pictures() -> tuple[Image, Image]:
+            return self.microscope.render(time_s, each=each) if render is None else render(time_s)
+
+        return Shot(*pictures()) if self._sabotage is None else self._sabotage.shoot(pictures, time_s)
+
     def advance_to(self, time_s: float) -> None:
         """Let everything go on until ``time_s``, in ticks of at most 2 ms."""
         while self.now_s < time_s:
             self.now_s = min(time_s, self.now_s + TICK_S)
+            if self._sabotage is not None:
+                self._sabotage.advance_to(self.now_s)
             self.board.advance_to(self.now_s)
             self.adapter.advance_to(self.now_s)
             self.machine.advance_to(self.now_s)
@@ -109,9 +165,20 @@ class Bench:
 
 
 def open_in_process(
-    bench: Bench, clock: SimClock, *, fps: float = 30.0
+    bench: Bench,
+    clock: SimClock,
+    *,
+    fps: float = 30.0,
+    render: Callable[[float], tuple[Image, Image]] | None = None,
 ) -> tuple[InProcessLine, InProcessBus, InProcessSource, InProcessSource]:
-    """The bench's four wires on a virtual clock, for the drivers: serial line, CAN bus, left and right eye."""
+    """The bench's four wires on a virtual clock, for the drivers: serial line, CAN bus, left and right eye.
+
+    ``render`` stands where the microscope stands.
+    """
+
+    def shoot(time_s: float) -> Shot | None:
+        return bench.shoot(time_s, render=render)
+
     clock.attach(bench.advance_to)
-    left, right = in_process_sources(bench.microscope, clock, fps=fps, name=str(bench.serial_number))
-    return InProcessLine(bench.board, clock), InProcessBus(bench.can, clock), left, right
+    left, right = in_process_sources(shoot, clock, fps=fps, name=str(bench.serial_number))
+    return InProcessLine(bench, clock), InProcessBus(bench.can, clock), left, right

@@ -6,7 +6,7 @@ frames (CANopen needs neither), and stuff bits beyond the usual share.
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 DEFAULT_BIT_RATE = 1_000_000
@@ -57,6 +57,8 @@ class CanWire:
         self._free_at_s = 0.0
         self._pending: list[tuple[Frame, object]] = []
         self._on_the_way: tuple[float, Frame, object] | None = None
+        self.carries: Callable[[Frame, bool], bool] = lambda _frame, _from_node: True
+        """Whether a frame, of a node or of a host, arrives anywhere; on a healthy bus all do."""
 
     def open_port(self) -> CanPort:
         """Join the wire as a host; hears everything from now on."""
@@ -100,6 +102,8 @@ class CanWire:
             self._pending.extend((frame, node) for frame in node.transmit())
 
     def _deliver(self, arrival_s: float, frame: Frame, sender: object) -> None:
+        if not self.carries(frame, sender in self._nodes):
+            return
         for node in self._nodes:
             if node is not sender:
                 node.receive(*frame)

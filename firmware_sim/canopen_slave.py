@@ -43,6 +43,8 @@ class CanopenSlave:
         self._boot_at_s = BOOT_S
         self._heartbeat_at_s = 0.0
         self._watch_until_s: float | None = None
+        self.minds_silence = True
+        """Whether the heartbeat consumer does what it says; a drive in which it does not looks like any other."""
         self._errors: dict[int, int] = {}
         self._history: list[int] = []
         self._add_communication_objects(device_type, name, hardware, software, serial)
@@ -96,7 +98,8 @@ class CanopenSlave:
             return
         if self._watch_until_s is not None and time_s > self._watch_until_s:
             self._watch_until_s = None
-            self._lose_heartbeat()
+            if self.minds_silence:
+                self._lose_heartbeat()
         self.run_cycle(time_s)
         producer_s = self.dictionary[0x1017, 0] / 1000
         if producer_s > 0 and time_s >= self._heartbeat_at_s:

@@ -8,7 +8,7 @@ before the network is operational (this one takes it by SDO in pre-operational a
 from enum import Enum
 
 from firmware_sim.canopen_dictionary import I8, I16, I32, U16, U32, Entry, Key
-from firmware_sim.canopen_slave import CYCLE_S, CanopenSlave
+from firmware_sim.canopen_slave import CYCLE_S, GENERIC_ERROR, CanopenSlave
 from firmware_sim.mechanics import SpindleLoad
 from firmware_sim.velocity_servo import VelocityServo
 
@@ -25,6 +25,9 @@ MOTOR_BLOCKED = 0x7121
 CONTINUOUS_OVER_CURRENT = 0x2310
 HEARTBEAT_LOST = 0x8130
 _ERROR_BITS = {MOTOR_BLOCKED: 0x20, CONTINUOUS_OVER_CURRENT: 0x02, HEARTBEAT_LOST: 0x10}
+
+OWN_SPEED_RPM = 5_000
+"""Of a drive that turns without being told."""
 
 _TARGET_REACHED, _INTERNAL_LIMIT, _SPEED_ZERO = 1 << 10, 1 << 11, 1 << 12
 _VOLTAGE_ENABLED, _REMOTE = 1 << 4, 1 << 9
@@ -70,6 +73,9 @@ class Cia402Drive(CanopenSlave):
         self._overload_s = 0.0
         self._reached_s = 0.0
         self._controlword = 0
+        self.speed_factor = 1.0
+        """What the shaft does of what it is told; a healthy drive does all."""
+        self.runs_by_itself = False
         self._add_drive_objects(max_speed_rpm)
         self._publish()
 
@@ -82,6 +88,10 @@ class Cia402Drive(CanopenSlave):
     def speed_rpm(self) -> float:
         """The true speed of the shaft."""
         return self._servo.speed_rpm
+
+    def fail(self, code: int) -> None:
+        """An error of the drive's own: it says so and stops."""
+        self._fail(code)
 
     # --- hooks of the node
 
@@ -124,6 +134,9 @@ class Cia402Drive(CanopenSlave):
         powered = self._state in _POWERED
         if powered:
             self._ramp()
+        elif self.runs_by_itself:
+            powered = True
+            servo.ramp(OWN_SPEED_RPM, objects[0x6083, 0], objects[0x6084, 0], CYCLE_S)
         load = self._load.torque_fraction(time_s, servo.speed_rpm)
         servo.advance(load, objects[0x6072, 0] / 1000, CYCLE_S, powered=powered)
         self._load.turn(time_s, servo.speed_rpm)
@@ -185,7 +198,7 @@ class Cia402Drive(CanopenSlave):
     def _fail(self, code: int) -> None:
         if self._state in (State.NOT_READY, State.FAULT):
             return
-        self.raise_error(code, _ERROR_BITS[code])
+        self.raise_error(code, _ERROR_BITS.get(code, GENERIC_ERROR))
         self._go(State.FAULT_REACTION_ACTIVE if self._state in _POWERED and self.dictionary[0x605E, 0] else State.FAULT)
 
     def _reset_fault(self) -> None:
@@ -230,7 +243,7 @@ class Cia402Drive(CanopenSlave):
             or (self._state is State.OPERATION_ENABLED and self._controlword & _HALT and objects[0x605D, 0] == 2)
         )
         deceleration = objects[0x6085, 0] if quick else objects[0x6084, 0]
-        self._servo.ramp(self._wanted_rpm, objects[0x6083, 0], deceleration, CYCLE_S)
+        self._servo.ramp(self._wanted_rpm * self.speed_factor, objects[0x6083, 0], deceleration, CYCLE_S)
 
     def _supervise(self) -> None:
         servo = self._servo

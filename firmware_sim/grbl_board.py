@@ -81,6 +81,26 @@ class GrblBoard:
         program = self._program
         return -program.spindle_rpm if program.spindle == "M4" else program.spindle_rpm
 
+    @property
+    def steps_per_mm(self) -> tuple[float, float, float]:
+        """Of the motors, as they were at power-up."""
+        return self._motor_steps_per_mm
+
+    def raise_alarm(self, code: int) -> None:
+        """Something of the board's own, not the host's doing: it stops where it stands, and waits for a reset."""
+        self._program.interrupt_reset()
+        self._program.alarm = Alarm(code)
+        self._something_happened = True
+
+    def restart(self) -> None:
+        """Somebody presses the board's reset button."""
+        self._program.interrupt_reset()
+        self._something_happened = True
+
+    def change_setting(self, number: int, value: float) -> None:
+        """Somebody else's hand on the board's memory."""
+        self._program.settings.store(number, value)
+
     def receive(self, data: bytes) -> None:
         """The host writes ``data``, now."""
         self._uart.send_to_board(data, self._now_s)

@@ -5,7 +5,8 @@ something to read or the time is over; nothing here spins, sleeps on the wall cl
 """
 
 import math
-from typing import Protocol
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
 
 import can
 
@@ -13,6 +14,9 @@ from drivers.camera.interface import Image
 from drivers.errors import ConnectionLostError, DeviceTimeoutError
 from firmware_sim.can_wire import CanNode, CanWire, as_wire
 from firmware_sim.clock import SimClock
+
+if TYPE_CHECKING:
+    from firmware_sim.microscope import Shot
 
 _SERIAL_STEP_S = 0.001
 _CAN_STEP_S = 0.0005
@@ -28,11 +32,8 @@ class SerialBoard(Protocol):
         """The bytes sent to the host since the last call."""
 
 
-class Renderer(Protocol):
-    """Draws both pictures of one instant."""
-
-    def render(self, time_s: float) -> tuple[Image, Image]:
-        """Left and right picture of the world as it is at ``time_s``."""
+Shutter = Callable[[float], "Shot | None"]
+"""Left and right picture of the world as it is at a time; None where there is none."""
 
 
 class InProcessLine:
@@ -51,6 +52,11 @@ class InProcessLine:
     def name(self) -> str:
         """The name that error messages show."""
         return self._name
+
+    @property
+    def descriptor(self) -> int | None:
+        """None: no other process can reach it."""
+        return None
 
     def write(self, data: bytes) -> None:
         """Put bytes on the wire at the present virtual time; takes no virtual time of its own."""
@@ -137,7 +143,7 @@ class InProcessSource:
     def newest(self) -> tuple[Image, float] | None:
         """The freshest picture and when its exposure began."""
         self._require_open()
-        return self._pick(self._pair.newest())
+        return self._pair.newest(self._side)
 
     def wait_newer(self, exposed_after_s: float, timeout_s: float) -> tuple[Image, float]:
         """A picture whose exposure began after ``exposed_after_s``.
@@ -146,18 +152,14 @@ class InProcessSource:
             DeviceTimeoutError: none within ``timeout_s``.
         """
         self._require_open()
-        exposure = self._pair.wait_newer(exposed_after_s, timeout_s)
+        exposure = self._pair.wait_newer(self._side, exposed_after_s, timeout_s)
         if exposure is None:
             raise DeviceTimeoutError(f"{self.identity}: no picture within {timeout_s:.3f} s; check the camera")
-        return self._pick(exposure)
+        return exposure
 
     def close(self) -> None:
         """Give the camera back; a second call does nothing."""
         self._open = False
-
-    def _pick(self, exposure: tuple[tuple[Image, Image], float]) -> tuple[Image, float]:
-        pictures, exposed_at_s = exposure
-        return pictures[self._side], exposed_at_s
 
     def _require_open(self) -> None:
         if not self._open:
@@ -167,41 +169,47 @@ class InProcessSource:
 class _Exposures:
     """The shutter that both eyes share, so that one instant is drawn once."""
 
-    def __init__(self, renderer: Renderer, clock: SimClock, period_s: float, latency_s: float) -> None:
-        self._renderer = renderer
+    def __init__(self, shoot: Shutter, clock: SimClock, period_s: float, latency_s: float) -> None:
+        self._shoot = shoot
         self._clock = clock
         self._period_s = period_s
         self._latency_s = latency_s
-        self._last: tuple[tuple[Image, Image], float] | None = None
+        self._shot_at_s = -math.inf
+        self._last: tuple[tuple[Image, float], tuple[Image, float]] | None = None
+        """Picture and exposure of either eye."""
 
-    def newest(self) -> tuple[tuple[Image, Image], float]:
-        if self._last is not None and self._clock.now_s() - self._last[1] < self._period_s + self._latency_s:
-            return self._last
-        return self._expose()
+    def newest(self, side: int) -> tuple[Image, float] | None:
+        if self._clock.now_s() - self._shot_at_s >= self._period_s + self._latency_s:
+            self._expose()
+        return None if self._last is None else self._last[side]
 
-    def wait_newer(self, exposed_after_s: float, timeout_s: float) -> tuple[tuple[Image, Image], float] | None:
-        if self._last is not None and self._last[1] > exposed_after_s:
-            return self._last
+    def wait_newer(self, side: int, exposed_after_s: float, timeout_s: float) -> tuple[Image, float] | None:
         now_s = self._clock.now_s()
-        # A free-running camera opens its shutter at multiples of its period, not when somebody asks.
-        start_s = (math.floor(max(exposed_after_s, now_s) / self._period_s) + 1) * self._period_s
-        if start_s + self._latency_s > now_s + timeout_s:
-            self._clock.sleep_s(timeout_s)
-            return None
-        self._clock.run_until(start_s)
-        return self._expose()
+        until_s, next_after_s = now_s + timeout_s, max(exposed_after_s, now_s)
+        while self._last is None or self._last[side][1] <= exposed_after_s:
+            # A free-running camera opens its shutter at multiples of its period, not when somebody asks.
+            start_s = (math.floor(next_after_s / self._period_s) + 1) * self._period_s
+            if start_s + self._latency_s > until_s:
+                self._clock.sleep_s(max(0.0, until_s - self._clock.now_s()))
+                return None
+            self._clock.run_until(start_s)
+            self._expose()
+            next_after_s = self._clock.now_s()
+        return self._last[side]
 
-    def _expose(self) -> tuple[tuple[Image, Image], float]:
-        exposed_at_s = self._clock.now_s()
+    def _expose(self) -> None:
+        self._shot_at_s = exposed_at_s = self._clock.now_s()
         with self._clock.lock:
-            self._last = (self._renderer.render(exposed_at_s), exposed_at_s)
+            shot = self._shoot(exposed_at_s)
+        if shot is not None:
+            left_at_s, right_at_s = exposed_at_s - shot.left_late_s, exposed_at_s - shot.right_late_s
+            self._last = ((shot.left, left_at_s), (shot.right, right_at_s))
         self._clock.sleep_s(self._latency_s)
-        return self._last
 
 
 def in_process_sources(
-    renderer: Renderer, clock: SimClock, *, fps: float = 30.0, latency_s: float = 0.025, name: str = "in-process"
+    shoot: Shutter, clock: SimClock, *, fps: float = 30.0, latency_s: float = 0.025, name: str = "in-process"
 ) -> tuple[InProcessSource, InProcessSource]:
-    """A left and a right eye on one renderer; ``latency_s`` is exposure and transport together."""
-    pair = _Exposures(renderer, clock, 1.0 / fps, latency_s)
+    """A left and a right eye behind one shutter; ``latency_s`` is exposure and transport together."""
+    pair = _Exposures(shoot, clock, 1.0 / fps, latency_s)
     return InProcessSource(pair, 0, f"{name}-left"), InProcessSource(pair, 1, f"{name}-right")

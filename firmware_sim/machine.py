@@ -35,6 +35,7 @@ REMOVAL_MM3_PER_S_N: Final = 0.35
 NOMINAL_RATE_MM2_PER_S: Final = 0.065
 IDLE_TORQUE: Final = 0.08
 NOMINAL_TORQUE: Final = 0.22
+BLOCKED_TORQUE: Final = 20.0
 RATE_FILTER_S: Final = 0.008
 HEAT_C_PER_MM3: Final = 22.0
 HEAT_DECAY_S: Final = 8.0
@@ -78,6 +79,8 @@ class Machine:
         self.backlash_mm = np.full(3, specimen.rig.backlash_mm)
         self.axis_scale = np.ones(3)
         self.lost_mm = np.zeros(3)
+        self.blocked = False
+        """Whether something holds the shaft."""
         self.now_s = 0.0
         self.spindle_rpm = 0.0
         self.turns = 0.0
@@ -143,6 +146,8 @@ class Machine:
 
     def torque_fraction(self, time_s: float, speed_rpm: float) -> float:
         """Share of the rated torque: idle, what the cut takes, ripple of the shaft, noise and drift."""
+        if self.blocked:
+            return BLOCKED_TORQUE
         if abs(speed_rpm) < 1.0:
             return 0.0
         signal = self.specimen.spindle

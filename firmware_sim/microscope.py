@@ -53,6 +53,16 @@ class Labels:
 
 
 @dataclass(frozen=True)
+class Shot:
+    """Both pictures as a host gets them, and how much longer than usual each was on its way."""
+
+    left: Image
+    right: Image
+    left_late_s: float = 0.0
+    right_late_s: float = 0.0
+
+
+@dataclass(frozen=True)
 class _Spill:
     """A drop that falls while the bone is milled."""
 

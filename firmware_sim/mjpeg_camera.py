@@ -22,7 +22,7 @@ class MjpegCameras:
         self.serial_number = serial_number
         self._changed = threading.Condition()
         self._pictures: tuple[bytes, bytes] | None = None
-        self._exposed_at_s = 0.0
+        self._exposed_at_s = (0.0, 0.0)
         self._number = 0
         self._watchers = 0
         self._closing = False
@@ -44,11 +44,11 @@ class MjpegCameras:
         """Whether anybody watches; pictures for nobody need not be drawn."""
         return self._watchers > 0
 
-    def publish(self, left_jpeg: bytes, right_jpeg: bytes, exposed_at_s: float) -> None:
-        """Show this pair from now on."""
+    def publish(self, left_jpeg: bytes, right_jpeg: bytes, exposed_at_s: float, *, right_late_s: float = 0.0) -> None:
+        """Show this pair from now on; the right one was exposed ``right_late_s`` before the left one."""
         with self._changed:
             self._pictures = (left_jpeg, right_jpeg)
-            self._exposed_at_s = exposed_at_s
+            self._exposed_at_s = (exposed_at_s, exposed_at_s - right_late_s)
             self._number += 1
             self._changed.notify_all()
 
@@ -68,7 +68,7 @@ class MjpegCameras:
         with self._changed:
             while not self._closing:
                 if self._pictures is not None and self._number != seen:
-                    return self._number, self._pictures[side], self._exposed_at_s
+                    return self._number, self._pictures[side], self._exposed_at_s[side]
                 self._changed.wait(_WAIT_S)
         return None
 

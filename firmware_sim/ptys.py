@@ -17,6 +17,7 @@ class SerialPty:
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self._pending = bytearray()
+        self._closed = False
         # Held open here, the slave keeps the port alive while no host has it.
         self.path = os.ttyname(self._slave)
 
@@ -39,7 +40,14 @@ class SerialPty:
             with contextlib.suppress(BlockingIOError):
                 del self._pending[: os.write(self._master, self._pending)]
 
+    @property
+    def closed(self) -> bool:
+        """Whether the port has ended."""
+        return self._closed
+
     def close(self) -> None:
-        """End the port; a host that has it open reads an end of file."""
-        os.close(self._slave)
-        os.close(self._master)
+        """End the port; a host that has it open reads an end of file. A second call does nothing."""
+        if not self._closed:
+            self._closed = True
+            os.close(self._slave)
+            os.close(self._master)

@@ -135,9 +135,12 @@ class BenchService:
         status_at_s = clock.now_s()
         while not stopped():
             behind_s = clock.now_s() - started_s - bench.now_s
-            readable, _, _ = select.select([self._motion, self._spindle], [], [], max(0.0, POLL_S - behind_s))
-            if self._motion in readable:
-                bench.board.receive(self._motion.read())
+            wires = [self._spindle] if self._motion.closed else [self._motion, self._spindle]
+            readable, _, _ = select.select(wires, [], [], max(0.0, POLL_S - behind_s))
+            if bench.unplugged:
+                self._motion.close()
+            elif self._motion in readable:
+                bench.receive(self._motion.read())
             if self._spindle in readable:
                 bench.adapter.receive(self._spindle.read())
             lag_s = clock.now_s() - started_s - bench.now_s
@@ -145,7 +148,8 @@ class BenchService:
                 started_s += lag_s - LONGEST_LAG_S
                 self.skipped_s += lag_s - LONGEST_LAG_S
             bench.advance_to(min(clock.now_s() - started_s, bench.now_s + CATCH_UP_S))
-            self._motion.write(bench.board.transmit())
+            if not bench.unplugged:
+                self._motion.write(bench.transmit())
             self._spindle.write(bench.adapter.transmit())
             if on_status is not None and clock.now_s() >= status_at_s:
                 status_at_s = clock.now_s() + STATUS_PERIOD_S
@@ -178,9 +182,12 @@ class BenchService:
                 # A bench that was kept from running shows nothing new: the same picture twice is a frozen camera's.
                 if self._cameras.watched and now_s > shown_s:
                     shown_s = now_s
-                    pictures = self.bench.microscope.render(now_s, each=eyes.map)
-                    left, right = eyes.map(_jpeg, pictures)
-                    self._cameras.publish(left, right, exposed_at_s)
+                    shot = self.bench.shoot(now_s, each=eyes.map)
+                    if shot is None:
+                        continue
+                    left, right = eyes.map(_jpeg, (shot.left, shot.right))
+                    right_late_s = shot.right_late_s - shot.left_late_s
+                    self._cameras.publish(left, right, exposed_at_s - shot.left_late_s, right_late_s=right_late_s)
 
     # --- truth
 

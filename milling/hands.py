@@ -1,5 +1,6 @@
 """Motion and spindle under one watch: every move gives a sign of life, looks at the drill, and can be stopped."""
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -8,6 +9,7 @@ from drivers.errors import DeviceError, DeviceTimeoutError, SafetyStop
 from drivers.motion.interface import MotionController, MotionState, MotionStatus, Vector
 from drivers.recorder import Recorder
 from drivers.spindle.interface import Spindle, SpindleStatus
+from milling.equipment import Guard
 from milling.latch import Latch, Reaction
 
 READ_BACK_MM = 0.02
@@ -34,6 +36,7 @@ class Hands:
     clock: Clock
     recorder: Recorder
     stop_requested: Callable[[], bool]
+    guard: Guard | None = None
     speed_rpm: float = 0.0
     """The speed the drill should have; 0 while it should stand."""
     on_torque: list[Callable[[SpindleStatus], None]] = field(default_factory=list)
@@ -49,6 +52,8 @@ class Hands:
         """
         if self.stop_requested():
             raise Interrupted("stop requested")
+        if self.guard is not None:
+            self.guard.beat()
         status = self.spindle.status()
         if status.fault is not None:
             raise DeviceError(f"spindle: {status.fault}")
@@ -139,6 +144,16 @@ class Hands:
         self.speed_rpm = speed_rpm
         self.recorder.event("spindle", state="at speed", speed_rpm=status.speed_rpm)
 
+    def into_the_bone(self) -> None:
+        """From now on a silence of this process stops the motion."""
+        if self.guard is not None:
+            self.guard.arm()
+
+    def out_of_the_bone(self) -> None:
+        """The drill is in the air: this process may take its time."""
+        if self.guard is not None:
+            self.guard.disarm()
+
     def lift(self, height_mm: float) -> None:
         """Drop what is queued, then straight up.
 
@@ -153,6 +168,8 @@ class Hands:
         self.motion.start_move((position[0], position[1], top), feed_mm_per_s=RETRACT_FEED_MM_S)
         deadline_s = self.clock.now_s() + 0.5
         while True:
+            if self.guard is not None:
+                self.guard.beat()
             self.spindle.status()
             status = self.motion.status()
             if status.state is MotionState.IDLE and status.queued_s <= 0:
@@ -172,6 +189,7 @@ class Hands:
                     self.lift(LIFT_MM)
                 self.lift(RETRACT_MM)
                 self.recorder.event("state", state="lifted")
+                self.out_of_the_bone()
                 self.stop_spindle()
             except (DeviceError, OSError) as error:
                 latch.trip(Reaction.KILL, str(error))
@@ -195,6 +213,9 @@ class Hands:
     def kill(self) -> None:
         """Spindle off and controller reset together; each is tried whatever the other does."""
         self.speed_rpm = 0.0
+        # What follows stops everything itself; a supervisor that has ended is of no interest any more.
+        with contextlib.suppress(DeviceError):
+            self.out_of_the_bone()
         for name, stop in (("spindle", self.spindle.stop), ("motion", self.motion.halt)):
             try:
                 stop()

@@ -113,7 +113,7 @@ class _Run:
 
     def __post_init__(self) -> None:
         rig = self.rig
-        self.hands = Hands(rig.motion, rig.spindle, rig.clock, self.recorder, self.stop_requested)
+        self.hands = Hands(rig.motion, rig.spindle, rig.clock, self.recorder, self.stop_requested, rig.guard)
         self.policy = policy_for(self.job)
         self.offset = np.asarray(rig.center_from_tip_mm, dtype=np.float64)
 
@@ -209,6 +209,7 @@ class _Run:
             self._tell("contact", f"point {index + 1} of {job.n_points}")
 
         self._tell("contact")
+        self.hands.into_the_bone()
         finder = ContactFinder(self.hands, idle, floor_mm)
         found = finder.find_all(
             [(float(x), float(y)) for x, y in tip[:, :2]], [float(z) for z in tip[:, 2]], predicted, told
@@ -252,6 +253,7 @@ class _Run:
         idle_rounds, cut_before_mm = 0, -1.0
         while True:
             self._tell("mill")
+            self.hands.into_the_bone()
             finished = ring.laps.mill()
             ledger = ring.ledger
             if ledger is None:
@@ -273,6 +275,7 @@ class _Run:
         """Judge every point again with nothing in front of it."""
         self._tell("look")
         self.hands.lift(RETRACT_MM)
+        self.hands.out_of_the_bone()
         center = ring.trajectory.center_mm
         edge = float(center[0]) + self.job.radius_mm + ASIDE_MM - float(self.offset[0])
         z = self.rig.motion.status().position_mm[2]
@@ -303,6 +306,7 @@ class _Run:
 
     def _leave(self) -> None:
         self.hands.lift(RETRACT_MM)
+        self.hands.out_of_the_bone()
         self.recorder.event("state", state="lifted")
         self.hands.stop_spindle()
         self._stop_watch()

@@ -59,8 +59,6 @@ def survey(
         DetectionError: a landmark or the surface is not seen.
         PlanError: a ring that must not be milled.
     """
-    from vision.disparity import averaged, match
-
     frames = [rig.camera.capture() for _ in range(FRAMES)]
     frame = frames[0]
     recorder.frame("reference_left", frame.left)
@@ -76,9 +74,9 @@ def survey(
         )
     rough, _ = calibration.points_from_pixels(center_px[None], right_px[None])
     x, y = center_px
-    matches = match(
-        averaged([each.left for each in frames]),
-        averaged([each.right for each in frames]),
+    matches = finders.match(
+        [each.left for each in frames],
+        [each.right for each in frames],
         right_from_left=calibration.right_from_left(float(rough[0, 2])),
         region=(x - LOOK_HALF_PX, y - LOOK_HALF_PX, x + LOOK_HALF_PX, y + LOOK_HALF_PX),
     )

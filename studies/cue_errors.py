@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_sim.skull import Skull
-from firmware_sim.specimen import Specimen, draw_specimen
+from firmware_sim.specimen import draw_specimen
 from milling.record import Run, read_run
+from studies.ring_truth import through_z_mm
 
 Floats = npt.NDArray[np.float64]
 
@@ -36,18 +37,6 @@ class Cues:
     """(m, 2)"""
 
 
-def through_mm(specimen: Specimen, ball_xy_mm: Floats, ball_z_mm: Floats) -> Floats:
-    """(n,) how far balls at contact, centred at ``ball_xy_mm`` (n, 2), ``ball_z_mm`` (n,), go down to come through."""
-    skull, radius = Skull(specimen), specimen.tool.ball_radius_mm + specimen.rig.run_out_mm
-    side = np.linspace(-radius, radius, 41)
-    dx, dy = (axis.ravel() for axis in np.meshgrid(side, side))
-    inside = np.hypot(dx, dy) < radius
-    dx, dy = dx[inside], dy[inside]
-    cap = np.sqrt(radius**2 - dx**2 - dy**2)
-    inner = skull.grid.sample(skull.inner_z, ball_xy_mm[:, :1] + dx, ball_xy_mm[:, 1:] + dy)
-    return np.asarray(ball_z_mm - np.nanmax(inner + cap, axis=1))
-
-
 def cues_of(run: Run) -> Cues:
     """What one run's record holds; nothing for a run that ended before all contacts were found."""
     specimen = draw_specimen(int(run.header["seed"]))
@@ -56,7 +45,7 @@ def cues_of(run: Run) -> Cues:
     if len(contact_mm) == 0 or len(contact_mm) < len(ball_mm):
         return Cues(np.empty((0, 2)), np.empty((0, 2)))
     offset_z_mm = specimen.tool.ball_radius_mm * specimen.tool.axis[2]
-    through = through_mm(specimen, ball_mm[:, :2], contact_mm + offset_z_mm)
+    through = contact_mm + offset_z_mm - through_z_mm(specimen, Skull(specimen), ball_mm[:, :2])
     load: list[tuple[float, float]] = []
     completion: list[tuple[float, float]] = []
     before: list[float | None] = [None] * len(through)

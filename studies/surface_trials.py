@@ -158,7 +158,7 @@ def _default(
     """Heights, normals and sigma of the heights, as ``milling.survey`` finds them."""
     x, y = middle_px
     region = (x - LOOK_HALF_PX, y - LOOK_HALF_PX, x + LOOK_HALF_PX, y + LOOK_HALF_PX)
-    matches = match(left, right, right_from_left=warp, region=region)
+    matches = match([left], [right], right_from_left=warp, region=region)
     points = PAPER_MODEL.points_from_pixels(matches.left_px, matches.right_px)
     variance = 2 * (matches.sigma_px / PAPER_MODEL.disparity_px_per_mm) ** 2
     surface = fit_surface(points, variance, truth[:, :2].mean(axis=0), RADIUS_MM + BEYOND_MM)

@@ -12,6 +12,8 @@ BY_SHIFT = (
 )  # fmt: skip
 """What is told of each shift."""
 _SUFFIXES = ("_low", "_high")
+_NOT_TOLD = ("shifts", "wilson_95")
+"""Tables of their own, and what the interval beside a figure says."""
 
 Figures = Mapping[str, Any]
 
@@ -49,7 +51,7 @@ def _by_shift(title: str, shifts: Mapping[str, Figures]) -> Table:
 
 
 def _is_told(name: str) -> bool:
-    return not name.endswith(_SUFFIXES) and name != "shifts"
+    return not name.endswith(_SUFFIXES) and name not in _NOT_TOLD
 
 
 def _published(published: Mapping[str, float], name: str) -> str:

@@ -9,9 +9,10 @@ already is kept, so that a study that was stopped goes on.
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,13 @@ from drivers.motion.grbl.driver import GrblController
 from drivers.spindle.cia402 import Cia402Spindle
 from firmware_sim.bench import ORIGIN_MM, Bench, open_in_process
 from firmware_sim.clock import SimClock
+from firmware_sim.microscope import Image
 from firmware_sim.specimen import draw_specimen
 from milling import loop
 from milling.job import Job
 from milling.record import RunRecorder
 from vision.completion import CompletionReader
+from vision.disparity import match
 from vision.keypoints import LandmarkFinder, TipFinder
 
 FPS = 20.0
@@ -36,31 +39,67 @@ SIZE_PX = (960, 540)
 MAX_SKEW_S = 0.02
 
 
-def mill_one(seed: int, folder: Path) -> dict[str, Any]:
-    """Calibrate and mill the specimen of ``seed``; figures as ``mill run --json`` gives them, truth included."""
-    clock, bench = SimClock(), Bench(draw_specimen(seed))
-    line, bus, left, right = open_in_process(bench, clock, fps=FPS)
+@dataclass(frozen=True)
+class Ended:
+    """A run that is over: what the loop says, and what the bench knows."""
+
+    result: loop.RunResult
+    truth: dict[str, Any]
+
+    def to_json(self) -> dict[str, Any]:
+        """As ``mill run --json`` tells it."""
+        truth = {key: value for key, value in self.truth.items() if key not in {"ball_px", "ring"}}
+        return {**self.result.to_json(), "truth": truth}
+
+
+def mill(
+    bench: Bench,
+    recorder: Callable[[SimClock], RunRecorder],
+    *,
+    job: Job,
+    finders: Callable[[SimClock], loop.Finders],
+    render: Callable[[float], tuple[Image, Image]] | None = None,
+) -> Ended:
+    """Calibrate and mill what lies on ``bench``, which was just switched on.
+
+    Args:
+        bench: with its specimen and its faults.
+        recorder: made on the run's clock; closed here.
+        job: what to mill.
+        finders: made on the run's clock.
+        render: stands where the microscope stands.
+    """
+    clock = SimClock()
+    line, bus, left, right = open_in_process(bench, clock, fps=FPS, render=render)
     x, y, z = (bench.specimen.tool.ball_radius_mm * along for along in bench.specimen.tool.axis)
-    tip, landmarks, completion = TipFinder.load(), LandmarkFinder.load(), CompletionReader.load()
+    eyes = finders(clock)
     with (
+        recorder(clock) as record,
         closing(GrblController(line, clock, origin_mm=ORIGIN_MM, max_feed_mm_per_s=MAX_FEED_MM_S)) as motion,
         closing(Cia402Spindle(bus, clock, node_id=1, max_speed_rpm=MAX_SPEED_RPM)) as spindle,
         closing(StereoPair(left, right, clock, size_px=SIZE_PX, max_skew_s=MAX_SKEW_S)) as camera,
     ):
         motion.home()
-        calibration = procedure.calibrate(motion, camera, tip.find, clock=clock, tool_offset_mm=(x, y, z))
+        calibration = procedure.calibrate(motion, camera, eyes.find_tip, clock=clock, tool_offset_mm=(x, y, z))
         rig = loop.Rig(motion, spindle, camera, clock, (x, y, z), PARK_MM)
-        finders = loop.Finders(tip.find, landmarks.find, completion)
-        with RunRecorder(folder / f"run-{seed}", {"seed": seed, "clock": "virtual"}, clock) as recorder:
-            result = loop.run(rig, calibration, finders, Job(), recorder)
-            recorder.close(result.to_json())
-    return {
-        "schema": 1,
-        "command": "virtual run",
-        "seed": seed,
-        **result.to_json(),
-        "truth": {key: value for key, value in bench.truth().items() if key not in {"ball_px", "ring"}},
-    }
+        result = loop.run(rig, calibration, eyes, job, record)
+        record.close(result.to_json())
+    return Ended(result, bench.truth())
+
+
+def networks(_clock: SimClock) -> loop.Finders:
+    """The shipped ones."""
+    return loop.Finders(TipFinder.load().find, LandmarkFinder.load().find, CompletionReader.load(), match)
+
+
+def mill_one(seed: int, folder: Path) -> dict[str, Any]:
+    """Calibrate and mill the specimen of ``seed``; figures as ``mill run --json`` gives them, truth included."""
+
+    def recorder(clock: SimClock) -> RunRecorder:
+        return RunRecorder(folder / f"run-{seed}", {"seed": seed, "clock": "virtual"}, clock)
+
+    ended = mill(Bench(draw_specimen(seed)), recorder, job=Job(), finders=networks)
+    return {"schema": 1, "command": "virtual run", "seed": seed, **ended.to_json()}
 
 
 def seeds_of(text: str) -> list[int]:

@@ -56,8 +56,8 @@ def averaged(pictures: Sequence[Image]) -> Image:
 
 
 def match(
-    left: Image,
-    right: Image,
+    lefts: Sequence[Image],
+    rights: Sequence[Image],
     *,
     right_from_left: npt.NDArray[np.float64] | None = None,
     region: tuple[float, float, float, float] | None = None,
@@ -65,8 +65,8 @@ def match(
     """Match a region of the left picture with the right picture.
 
     Args:
-        left: (H, W, 3).
-        right: (H, W, 3).
+        lefts: (H, W, 3) each, of one scene; their mean is what is matched.
+        rights: (H, W, 3) each.
         right_from_left: (2, 3) affine that takes left pixels to right pixels for a plane near the surface; identity
             where None.
         region: x0, y0, x1, y1 in left pixels; the whole picture where None.
@@ -74,6 +74,7 @@ def match(
     Returns:
         Matches on a grid of ``STEP_PX``; fewer than asked for, even none, where the pictures do not agree.
     """
+    left, right = averaged(lefts), averaged(rights)
     affine = np.eye(2, 3) if right_from_left is None else np.asarray(right_from_left, dtype=np.float64)
     height, width = left.shape[:2]
     x0, y0, x1, y1 = region or (0.0, 0.0, float(width), float(height))

@@ -11,6 +11,7 @@ from studies.tables import PUBLISHED, Figures, tables
 DRAWN = {
     "calibration": ("rmse_mm", "rmse_center_mm", "rmse_periphery_mm", "tip_rmse_px"),
     "surface": ("height_rmse_mm", "normal_rmse_deg", "bregma_rmse_px", "lambda_rmse_px"),
+    "milling": ("success_rate", "damage_rate", "milling_time_min", "heat_rise_c"),
     "completion": ("mape", "penetration_recall", "upper_bound_coverage", "ap50_95"),
 }
 """What is drawn of each experiment; the rest stands in the tables."""

@@ -47,6 +47,15 @@ class Travel:
         return all(low <= value <= high for low, value, high in zip(self.low_mm, point_mm, self.high_mm, strict=True))
 
 
+@dataclass(frozen=True)
+class StopPath:
+    """How another process, which knows no make, stops the motion: an open port, and what to write to it."""
+
+    fd: int
+    script: tuple[tuple[bytes, float], ...]
+    """Bytes, and seconds to wait after them. It holds first; then it may lift, where the position is still trusted."""
+
+
 class MotionController(Device):
     """Three axes and a drill. Refuses, never clips; the first fault latches until ``home()``."""
 
@@ -114,6 +123,11 @@ class MotionController(Device):
 
         The position is lost when the axes were moving: ``home()`` releases.
         """
+
+    @property
+    def stop_path(self) -> StopPath | None:
+        """For a supervisor; None where no other process can reach the wire."""
+        return None
 
     @abstractmethod
     def set_floor(self, z_mm: float | None) -> None:

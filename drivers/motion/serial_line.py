@@ -32,6 +32,11 @@ class PortLine:
         """The path it was opened by."""
         return str(self._port.port)
 
+    @property
+    def descriptor(self) -> int | None:
+        """The open port."""
+        return self._fd if self._open else None
+
     def write(self, data: bytes) -> None:
         """Put bytes on the wire; a wire that takes none for 0.2 s is gone."""
         while data:

@@ -10,6 +10,10 @@ class SerialLine(Protocol):
     def name(self) -> str:
         """The path or name that error messages show."""
 
+    @property
+    def descriptor(self) -> int | None:
+        """The open file that another process may be handed; None where there is none."""
+
     def write(self, data: bytes) -> None:
         """Put bytes on the wire; never waits behind a reader.
 

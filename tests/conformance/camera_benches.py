@@ -16,6 +16,7 @@ from drivers.camera.stereo import StereoPair
 from drivers.clock import Clock, SystemClock
 from firmware_sim.clock import SimClock
 from firmware_sim.lines import in_process_sources
+from firmware_sim.microscope import Shot
 from firmware_sim.mjpeg_camera import MjpegCameras
 
 SIZE_PX = (192, 96)
@@ -68,7 +69,7 @@ class CameraBench:
 def in_process_bench() -> Iterator[CameraBench]:
     """Both eyes on the virtual clock."""
     clock, scene = SimClock(), Scene()
-    left, right = in_process_sources(scene, clock, fps=FPS, latency_s=0.02)
+    left, right = in_process_sources(lambda time_s: Shot(*scene.render(time_s)), clock, fps=FPS, latency_s=0.02)
     with StereoPair(left, right, clock, size_px=SIZE_PX, max_skew_s=MAX_SKEW_S) as camera:
         yield CameraBench(camera, clock, scene, stop=lambda: None)
 

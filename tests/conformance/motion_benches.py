@@ -105,6 +105,10 @@ class TappedLine:
     def name(self) -> str:
         return self._line.name
 
+    @property
+    def descriptor(self) -> int | None:
+        return self._line.descriptor
+
     def write(self, data: bytes) -> None:
         self._wire.hear(data)
         self._line.write(data)

@@ -7,6 +7,7 @@ from drivers.errors import ConnectionLostError, DeviceTimeoutError
 from firmware_sim.cia402_drive import Cia402Drive
 from firmware_sim.clock import SimClock
 from firmware_sim.lines import InProcessBus, InProcessLine, in_process_sources
+from firmware_sim.microscope import Shot
 
 
 class SlowEcho:
@@ -115,15 +116,15 @@ class TinyRenderer:
     def __init__(self) -> None:
         self.times: list[float] = []
 
-    def render(self, time_s: float):
+    def shoot(self, time_s: float):
         self.times.append(time_s)
         picture = np.full((4, 6, 3), round(time_s * 1000) % 256, np.uint8)
-        return picture, picture + 1
+        return Shot(picture, picture + 1)
 
 
 def test_both_eyes_share_one_rendering_of_an_instant():
     clock, renderer = SimClock(), TinyRenderer()
-    left, right = in_process_sources(renderer, clock, fps=50.0, latency_s=0.01)
+    left, right = in_process_sources(renderer.shoot, clock, fps=50.0, latency_s=0.01)
     left_image, left_at_s = left.newest()
     right_image, right_at_s = right.newest()
     assert left_at_s == right_at_s == 0.0
@@ -134,7 +135,7 @@ def test_both_eyes_share_one_rendering_of_an_instant():
 
 def test_a_newer_picture_costs_the_wait_for_the_shutter_and_the_latency():
     clock, renderer = SimClock(start_s=0.105), TinyRenderer()
-    left, right = in_process_sources(renderer, clock, fps=50.0, latency_s=0.01)
+    left, right = in_process_sources(renderer.shoot, clock, fps=50.0, latency_s=0.01)
     _, exposed_at_s = left.wait_newer(clock.now_s(), 1.0)
     assert exposed_at_s == pytest.approx(0.12)
     assert clock.now_s() == pytest.approx(0.13)
@@ -144,7 +145,7 @@ def test_a_newer_picture_costs_the_wait_for_the_shutter_and_the_latency():
 
 def test_the_newest_picture_is_never_older_than_a_period_and_the_latency():
     clock, renderer = SimClock(), TinyRenderer()
-    left, _ = in_process_sources(renderer, clock, fps=50.0, latency_s=0.01)
+    left, _ = in_process_sources(renderer.shoot, clock, fps=50.0, latency_s=0.01)
     for _ in range(50):
         _, exposed_at_s = left.newest()
         assert clock.now_s() - exposed_at_s <= 0.03 + 1e-9
@@ -153,7 +154,7 @@ def test_the_newest_picture_is_never_older_than_a_period_and_the_latency():
 
 def test_a_picture_that_comes_too_late_is_a_timeout():
     clock, renderer = SimClock(), TinyRenderer()
-    left, _ = in_process_sources(renderer, clock, fps=10.0, latency_s=0.01)
+    left, _ = in_process_sources(renderer.shoot, clock, fps=10.0, latency_s=0.01)
     with pytest.raises(DeviceTimeoutError, match="in-process-left"):
         left.wait_newer(0.0, 0.05)
     assert clock.now_s() == pytest.approx(0.05)

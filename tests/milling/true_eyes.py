@@ -1,6 +1,6 @@
 """Eyes that are told the truth, so that the loop is tested by itself and not the networks. The wires stay real."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -16,11 +16,14 @@ from drivers.motion.grbl.driver import GrblController
 from drivers.spindle.cia402 import Cia402Spindle
 from firmware_sim.bench import MAX_FEED_MM_S, MAX_SPEED_RPM, NODE_ID, ORIGIN_MM, PARK_MM, Bench, open_in_process
 from firmware_sim.clock import SimClock
+from firmware_sim.faults import parse_faults
+from firmware_sim.faulty_reader import FaultyReader
 from firmware_sim.specimen import SkullShape, Specimen, Thickness, Tilt
 from milling import loop
 from milling.job import Job
 from milling.record import RunRecorder
 from vision.completion import CompletionReading
+from vision.disparity import match
 from vision.keypoints import Keypoint
 from vision.strip import CELLS, unroll
 
@@ -117,9 +120,13 @@ class VirtualRig:
         self.motion.close()
 
 
-def virtual_rig(specimen: Specimen = THIN, *, dialect: str = "gnea") -> VirtualRig:
-    """A bench that was just switched on."""
-    bench = Bench(specimen, dialect="grblhal" if dialect == "grblhal" else "gnea")
+def virtual_rig(specimen: Specimen = THIN, *, dialect: str = "gnea", faults: Sequence[str] = ()) -> VirtualRig:
+    """A bench that was just switched on, with faults planted."""
+    bench = Bench(
+        specimen,
+        dialect="grblhal" if dialect == "grblhal" else "gnea",
+        faults=parse_faults(faults, place="bench"),
+    )
     clock = SimClock()
     line, bus, left, right = open_in_process(bench, clock)
     motion = GrblController(line, clock, origin_mm=ORIGIN_MM, max_feed_mm_per_s=MAX_FEED_MM_S)
@@ -128,7 +135,8 @@ def virtual_rig(specimen: Specimen = THIN, *, dialect: str = "gnea") -> VirtualR
     x, y, z = (specimen.tool.ball_radius_mm * value for value in specimen.tool.axis)
     calibration = true_calibration(bench, (x, y, z))
     reader = TrueReader(bench, calibration)
-    finders = loop.Finders(_Tip(bench), _Landmarks(bench), reader)
+    spoiled = FaultyReader(reader, parse_faults(faults, place="host"), clock, seed=0)
+    finders = loop.Finders(_Tip(bench), _Landmarks(bench), spoiled, match)
     rig = loop.Rig(motion, spindle, camera, clock, (x, y, z), PARK_MM)
     return VirtualRig(bench, clock, rig, calibration, finders, reader, motion, spindle, camera)
 

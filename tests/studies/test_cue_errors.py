@@ -11,7 +11,8 @@ from firmware_sim.cutting import carve_balls
 from firmware_sim.skull import Skull
 from firmware_sim.specimen import draw_specimen
 from milling.record import RunRecorder, read_run
-from studies.cue_errors import cues_of, main, table, through_mm
+from studies.cue_errors import cues_of, main, table
+from studies.ring_truth import through_z_mm
 
 SEED = 5
 
@@ -21,7 +22,7 @@ def test_a_ball_lowered_by_it_has_just_come_through() -> None:
     x, y, _ = specimen.skull.center_mm
     xy = np.array([[x + 2.0, y], [x, y - 2.0]])
     radius = specimen.tool.ball_radius_mm + specimen.rig.run_out_mm
-    centre_z = -through_mm(specimen, xy, np.zeros(2))
+    centre_z = through_z_mm(specimen, Skull(specimen), xy)
     for lower_mm, through in ((-0.01, False), (0.01, True)):
         skull = Skull(specimen)
         balls = np.column_stack([xy, centre_z - lower_mm])
@@ -40,7 +41,7 @@ def record(folder: Path) -> float:
             recorder.event("lap", depth_mm=[depth], load_ratio=[ratio], completion=[seen])
         recorder.close({})
     offset_mm = specimen.tool.ball_radius_mm * specimen.tool.axis[2]
-    return float(through_mm(specimen, np.array([[x + 2.0, y]]), np.array([z + offset_mm]))[0])
+    return float(z + offset_mm - through_z_mm(specimen, Skull(specimen), np.array([[x + 2.0, y]]))[0])
 
 
 def test_each_load_counts_once_and_each_picture_by_its_depth(tmp_path: Path) -> None:

@@ -34,6 +34,10 @@ def pair(relief, seed=0, noise=2.0):
     return tuple(np.clip(p + rng.normal(0, noise, p.shape), 0, 255).astype(np.uint8) for p in (left, right))
 
 
+def framed(relief, **changed):
+    return tuple([picture] for picture in pair(relief, **changed))
+
+
 def errors_of(matches, relief):
     at = matches.left_px.astype(int)
     moved = matches.left_px + np.stack([relief[at[:, 1], at[:, 0]], np.zeros(len(at))], axis=1)
@@ -47,7 +51,7 @@ def waves():
 
 
 def test_relief_is_found_to_a_fraction_of_a_pixel_with_an_honest_sigma(waves):
-    matches = match(*pair(waves), right_from_left=AFFINE, region=REGION)
+    matches = match(*framed(waves), right_from_left=AFFINE, region=REGION)
     errors = errors_of(matches, waves)
     assert len(matches.left_px) > 0.95 * 120 * 75
     assert np.sqrt((errors**2).mean(axis=0)) == pytest.approx([0, 0], abs=0.08)
@@ -58,15 +62,15 @@ def test_relief_is_found_to_a_fraction_of_a_pixel_with_an_honest_sigma(waves):
 
 
 def test_sigma_grows_with_noise(waves):
-    quiet = match(*pair(waves, noise=1.0), right_from_left=AFFINE, region=REGION)
-    loud = match(*pair(waves, noise=8.0), right_from_left=AFFINE, region=REGION)
+    quiet = match(*framed(waves, noise=1.0), right_from_left=AFFINE, region=REGION)
+    loud = match(*framed(waves, noise=8.0), right_from_left=AFFINE, region=REGION)
     assert np.median(loud.sigma_px) > 1.5 * np.median(quiet.sigma_px)
 
 
 def test_glare_is_left_out(waves):
     left, right = pair(waves)
     left[100:120, 200:230] = 255
-    matches = match(left, right, right_from_left=AFFINE, region=REGION)
+    matches = match([left], [right], right_from_left=AFFINE, region=REGION)
     x, y = matches.left_px.T
     assert not ((x >= 200) & (x < 230) & (y >= 100) & (y < 120)).any()
     assert len(matches.left_px) > 0.7 * 120 * 75
@@ -75,7 +79,7 @@ def test_glare_is_left_out(waves):
 def test_a_thing_far_above_the_surface_is_left_out(waves):
     relief = waves.copy()
     relief[110:150, 220:260] += 14.0
-    matches = match(*pair(relief), right_from_left=AFFINE, region=REGION)
+    matches = match(*framed(relief), right_from_left=AFFINE, region=REGION)
     x, y = matches.left_px.T
     # Its left rim shows the ground once more in these pictures, and is rightly matched as ground.
     on_it = (x >= 236) & (x < 254) & (y >= 116) & (y < 144)
@@ -88,19 +92,19 @@ def test_a_thing_far_above_the_surface_is_left_out(waves):
 def test_pictures_of_different_things_do_not_match():
     left, _ = pair(np.zeros((HEIGHT, WIDTH)), seed=1)
     _, right = pair(np.zeros((HEIGHT, WIDTH)), seed=50)
-    matches = match(left, right, right_from_left=AFFINE, region=REGION)
+    matches = match([left], [right], right_from_left=AFFINE, region=REGION)
     assert len(matches.left_px) < 0.3 * 120 * 75
 
 
 def test_an_empty_region_has_no_matches():
     left, right = pair(np.zeros((HEIGHT, WIDTH)))
-    assert len(match(left, right, region=(900.0, 10.0, 950.0, 50.0)).left_px) == 0
+    assert len(match([left], [right], region=(900.0, 10.0, 950.0, 50.0)).left_px) == 0
 
 
 def test_a_dome_is_not_laid_too_low():
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     dome = 12.0 - 2.5e-3 * ((x - WIDTH / 2) ** 2 + (y - HEIGHT / 2) ** 2) / 2
-    matches = match(*pair(dome), right_from_left=AFFINE, region=REGION)
+    matches = match(*framed(dome), right_from_left=AFFINE, region=REGION)
     assert abs(errors_of(matches, dome)[:, 0].mean()) < 0.02
 
 
@@ -126,9 +130,9 @@ def test_highlights_that_lie_too_deep_mislead_less_than_grey_alone(monkeypatch):
     places = np.random.default_rng(4).uniform((100, 40), (380, 230), (900, 2))
     glossy = with_glints(left, places)
     glossy_right = with_glints(right, (places - [1.5, 0.0]) @ AFFINE[:, :2].T + AFFINE[:, 2])
-    everything = match(glossy, glossy_right, right_from_left=AFFINE, region=REGION)
+    everything = match([glossy], [glossy_right], right_from_left=AFFINE, region=REGION)
     monkeypatch.setattr(disparity, "VIEWS", disparity.VIEWS[:1])
-    grey = match(glossy, glossy_right, right_from_left=AFFINE, region=REGION)
+    grey = match([glossy], [glossy_right], right_from_left=AFFINE, region=REGION)
     bias, bias_of_grey = (errors_of(matches, flat)[:, 0].mean() for matches in (everything, grey))
     assert bias_of_grey < -0.1
     assert abs(bias) < 0.6 * abs(bias_of_grey)
@@ -136,5 +140,5 @@ def test_highlights_that_lie_too_deep_mislead_less_than_grey_alone(monkeypatch):
 
 def test_a_picture_without_colour_is_matched_as_well_as_its_grey(waves):
     left, right = (np.repeat(cv2.cvtColor(p, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=2) for p in pair(waves))
-    errors = errors_of(match(left, right, right_from_left=AFFINE, region=REGION), waves)
+    errors = errors_of(match([left], [right], right_from_left=AFFINE, region=REGION), waves)
     assert np.sqrt((errors**2).mean(axis=0)) == pytest.approx([0, 0], abs=0.08)

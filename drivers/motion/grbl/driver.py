@@ -4,7 +4,8 @@ Positions of {R} become machine coordinates by ``origin_mm``; moves are written 
 offset can bend them. The driver writes two settings and no other: the travel of Z for the floor, which it restores,
 and on 1.1h the bits of ``$10`` without which the controller does not tell how full its planner is.
 
-Danger: GRBL has no watchdog. When the host dies, the queue runs out and the machine stops where the queue ends.
+Danger: GRBL has no watchdog. When the host dies, the queue runs out and the machine stops where the queue ends; a
+process that holds ``stop_path`` may stop it sooner.
 """
 
 from collections.abc import Mapping
@@ -23,7 +24,7 @@ from drivers.motion.grbl import machine, protocol
 from drivers.motion.grbl.limits import SoftLimits
 from drivers.motion.grbl.queue import BlockQueue
 from drivers.motion.grbl.session import REPLY_S, GrblSession
-from drivers.motion.interface import MotionController, MotionState, MotionStatus, Travel, Vector
+from drivers.motion.interface import MotionController, MotionState, MotionStatus, StopPath, Travel, Vector
 from drivers.motion.transport import SerialLine
 
 MAX_BLOCKS = 14
@@ -31,6 +32,10 @@ MAX_BLOCKS = 14
 POLL_S = 0.08
 """Together with the reply about 12 Hz, which an AVR bears while it plans."""
 MODAL_LINE = "G21G90G94"
+
+STOP_SCRIPT = ((protocol.HOLD, 0.2), (protocol.RESET, 0.5), (b"$J=G91G21Z1.5F900\n", 0.0))
+"""Hold; a reset at standstill, which drops the queue; 1.5 mm up at 15 mm/s. If it was not standing at the reset, its
+position is lost, and it locks itself and refuses to lift."""
 
 _STATES = {
     "Run": MotionState.MOVING,
@@ -232,6 +237,12 @@ class GrblController(MotionController):
     def halt(self) -> None:
         """Feed hold and reset in one write."""
         self._session.halt()
+
+    @property
+    def stop_path(self) -> StopPath | None:
+        """The port, and: hold; a reset at standstill, which drops the queue and keeps the position; up."""
+        descriptor = self._session.descriptor
+        return None if descriptor is None else StopPath(descriptor, STOP_SCRIPT)
 
     def set_floor(self, z_mm: float | None) -> None:
         """Write the travel of Z so that the controller refuses targets below, read it back; None restores it.

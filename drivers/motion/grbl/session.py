@@ -78,6 +78,11 @@ class GrblSession:
         return self._line.name
 
     @property
+    def descriptor(self) -> int | None:
+        """The line's open file, if another process may be handed one."""
+        return self._line.descriptor
+
+    @property
     def is_lost(self) -> bool:
         """Whether the wire is known to be gone."""
         return self._lost is not None

@@ -1,0 +1,206 @@
+"""Carries out the faults of a bench's devices: on the wires, in the boards, in the world, and in the pictures.
+
+Every draw comes from one seed, so that the same faults on the same bench give the same bytes again.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, Protocol
+
+import cv2
+import numpy as np
+
+from firmware_sim.cia402_drive import Cia402Drive
+from firmware_sim.faults import Fault
+from firmware_sim.grbl_board import GrblBoard
+from firmware_sim.machine import Machine
+from firmware_sim.microscope import Image, Shot
+
+if TYPE_CHECKING:
+    from firmware_sim.can_wire import Frame
+
+TURNING_RPM: Final = 1000.0
+"""Above this the drill turns, and the faults' time runs."""
+OVERSPEED: Final = 1.5
+PX_PER_MM: Final = 25.4
+_HISTORY_S: Final = 6.0
+_BLUR_PX: Final = 6.0
+
+
+class Parts(Protocol):
+    """What of a bench can be broken."""
+
+    machine: Machine
+    board: GrblBoard
+    drive: Cia402Drive
+
+
+class Sabotage:
+    """The faults of one bench; ``advance_to`` before the boards', so that what is due has begun."""
+
+    def __init__(self, parts: Parts, faults: tuple[Fault, ...], *, seed: int) -> None:
+        self._parts = parts
+        self._waiting = list(faults)
+        self._begun: dict[str, Fault] = {}
+        self._turning_since_s: float | None = None
+        self._rng = np.random.default_rng([seed, 4711])
+        self._late: deque[tuple[float, bytes]] = deque()
+        self._shots: deque[tuple[float, Image, Image]] = deque()
+        self._stuck: tuple[Image, Image] | None = None
+        self.now_s = 0.0
+        self.advance_to(0.0)
+
+    @property
+    def unplugged(self) -> bool:
+        """Whether the motion port is gone."""
+        return "serial.unplug" in self._begun
+
+    def advance_to(self, time_s: float) -> None:
+        """Begin what is due."""
+        self.now_s = time_s
+        if self._turning_since_s is None and abs(self._parts.machine.spindle_rpm) > TURNING_RPM:
+            self._turning_since_s = time_s
+        for fault in [fault for fault in self._waiting if self._is_due(fault)]:
+            self._waiting.remove(fault)
+            self._begun[fault.name] = fault
+            if (begin := _AT_ONCE.get(fault.name)) is not None:
+                begin(self._parts, fault.value)
+
+    def _is_due(self, fault: Fault) -> bool:
+        if fault.after_s is None:
+            return True
+        return self._turning_since_s is not None and self.now_s - self._turning_since_s >= fault.after_s
+
+    # The motion port.
+
+    def from_host(self, data: bytes) -> bytes:
+        """What of the host's bytes reaches the motion board."""
+        return self._damaged(data)
+
+    def to_host(self, data: bytes) -> bytes:
+        """What of the board's bytes reaches the host by now."""
+        data = self._damaged(data)
+        if data:
+            self._late.append((self.now_s + self._value("serial.latency"), data))
+        arrived = b""
+        while self._late and self._late[0][0] <= self.now_s:
+            arrived += self._late.popleft()[1]
+        return arrived
+
+    def _damaged(self, data: bytes) -> bytes:
+        if not data:
+            return data
+        if "serial.stall" in self._begun or self.unplugged:
+            return b""
+        kept = np.frombuffer(data, np.uint8)
+        if lost := self._value("serial.drop"):
+            kept = kept[self._rng.random(len(kept)) >= lost]
+        if flipped := self._value("serial.flip"):
+            hit = self._rng.random(len(kept)) < flipped
+            kept = np.where(hit, kept ^ (1 << self._rng.integers(0, 8, len(kept))).astype(np.uint8), kept)
+        return kept.tobytes()
+
+    # The CAN bus.
+
+    def carries(self, frame: "Frame", from_node: bool) -> bool:
+        """Whether the bus brings this frame to anybody."""
+        del frame
+        if "can.bus_off" in self._begun or (from_node and "can.silent" in self._begun):
+            return False
+        lost = self._value("can.drop")
+        return not lost or bool(self._rng.random() >= lost)
+
+    # The pictures.
+
+    def shoot(self, render: Callable[[], tuple[Image, Image]], time_s: float) -> Shot | None:
+        """Both pictures of this moment; None where the cameras show nothing new."""
+        if "camera.off" in self._begun:
+            return None
+        if "camera.stuck" in self._begun:
+            self._stuck = self._stuck or render()
+            return Shot(*self._stuck)
+        left, right = (self._spoiled(picture) for picture in render())
+        if "camera.mirrored" in self._begun:
+            left = np.ascontiguousarray(left[:, ::-1])
+        if "camera.swapped" in self._begun:
+            left, right = right, left
+        slow_s, skew_s = self._value("camera.slow"), self._value("camera.skew")
+        if not (slow_s or skew_s):
+            return Shot(left, right)
+        self._shots.append((time_s, left, right))
+        while time_s - self._shots[0][0] > _HISTORY_S:
+            self._shots.popleft()
+        before = self._shot_before(time_s - slow_s)
+        before_right = self._shot_before(time_s - slow_s - skew_s)
+        if before is None or before_right is None:
+            return None
+        return Shot(before[1], before_right[2], time_s - before[0], time_s - before_right[0])
+
+    def _shot_before(self, time_s: float) -> tuple[float, Image, Image] | None:
+        return next((shot for shot in reversed(self._shots) if shot[0] <= time_s), None)
+
+    def _spoiled(self, picture: Image) -> Image:
+        if "camera.black" in self._begun:
+            return np.zeros_like(picture)
+        if "camera.blur" in self._begun:
+            picture = cv2.GaussianBlur(picture, (0, 0), _BLUR_PX).astype(np.uint8)
+        if exposure := self._value("camera.exposure"):
+            table = 255.0 * np.minimum(1.0, exposure * (np.arange(256) / 255.0) ** 2.2) ** (1 / 2.2)
+            picture = table.round().astype(np.uint8)[picture]
+        if moved_mm := self._value("camera.moved"):
+            picture = np.roll(picture, round(moved_mm * PX_PER_MM), axis=1)
+        return picture
+
+    def _value(self, name: str) -> float:
+        fault = self._begun.get(name)
+        return 0.0 if fault is None else fault.value
+
+
+def _lose_steps(parts: Parts, steps: float) -> None:
+    parts.machine.lost_mm[2] -= steps / parts.board.steps_per_mm[2]
+
+
+def _play(parts: Parts, play_mm: float) -> None:
+    parts.machine.backlash_mm[:] = play_mm
+
+
+def _stretch_x(parts: Parts, factor: float) -> None:
+    parts.machine.axis_scale[0] = factor
+
+
+def _block(parts: Parts, _value: float) -> None:
+    parts.machine.blocked = True
+
+
+def _overspeed(parts: Parts, _value: float) -> None:
+    parts.drive.speed_factor = OVERSPEED
+
+
+def _slow(parts: Parts, share: float) -> None:
+    parts.drive.speed_factor = 1.0 - share
+
+
+def _run_away(parts: Parts, _value: float) -> None:
+    parts.drive.runs_by_itself = True
+
+
+def _ignore_silence(parts: Parts, _value: float) -> None:
+    parts.drive.minds_silence = False
+
+
+_AT_ONCE: Final[dict[str, Callable[[Parts, float], None]]] = {
+    "motion.alarm": lambda parts, code: parts.board.raise_alarm(round(code)),
+    "motion.reset": lambda parts, _: parts.board.restart(),
+    "motion.backlash": _play,
+    "motion.scale_x": _stretch_x,
+    "motion.lost_steps": _lose_steps,
+    "motion.no_soft_limits": lambda parts, _: parts.board.change_setting(20, 0.0),
+    "motion.settings_changed": lambda parts, _: parts.board.change_setting(110, 600.0),
+    "spindle.stall": _block,
+    "spindle.slow": _slow,
+    "spindle.overspeed": _overspeed,
+    "spindle.starts_by_itself": _run_away,
+    "spindle.no_consumer": _ignore_silence,
+    "spindle.emcy": lambda parts, code: parts.drive.fail(round(code)),
+}
+"""What happens in one moment and stays; the others are looked up where bytes, frames and pictures pass."""

@@ -1,0 +1,142 @@
+"""The near end of the supervisor: starts it, gives it signs of life, and hears whether it has stopped the motion."""
+
+import contextlib
+import json
+import os
+import select
+import socket
+import subprocess
+import sys
+from types import TracebackType
+from typing import Self
+
+from drivers.clock import Clock
+from drivers.errors import DeviceError, DeviceTimeoutError
+from drivers.motion.interface import StopPath
+from milling import supervisor
+
+SILENCE_S = 0.1
+BEAT_EVERY_S = 0.01
+START_S = 5.0
+LEAVE_S = 2.0
+
+
+class Guard:
+    """One supervisor process. Open from construction; ``close`` lets it leave in peace."""
+
+    def __init__(self, path: StopPath, clock: Clock, *, silence_s: float = SILENCE_S) -> None:
+        """Start the process and see it watch.
+
+        Args:
+            path: the motion controller's.
+            clock: for the rhythm of the signs of life.
+            silence_s: how long the supervisor waits for one.
+
+        Raises:
+            DeviceTimeoutError: it does not start.
+        """
+        self._clock = clock
+        self._beat_at_s = float("-inf")
+        self._systemd = _systemd()
+        script = json.dumps([(data.hex(), wait_s) for data, wait_s in path.script])
+        words = [sys.executable, "-I", "-S", supervisor.__file__, str(path.fd), str(silence_s), script]
+        hears, self._to = os.pipe()
+        self._from, says = os.pipe()
+        os.set_blocking(self._to, False)
+        self._closed = False
+        try:
+            # A session of its own: what Ctrl-C does to this process must not reach that one.
+            self._process = subprocess.Popen(
+                words, stdin=hears, stdout=says, pass_fds=(path.fd,), start_new_session=True
+            )
+        finally:
+            os.close(hears)
+            os.close(says)
+        if not select.select([self._from], [], [], START_S)[0] or not os.read(self._from, 64):
+            self.close()
+            raise DeviceTimeoutError(f"supervisor: did not start within {START_S:g} s; is the machine overloaded?")
+
+    def arm(self) -> None:
+        """From now on silence stops the motion."""
+        self._say(supervisor.ARM)
+
+    def disarm(self) -> None:
+        """From now on silence is allowed: the drill is out of the bone."""
+        self._say(supervisor.DISARM)
+
+    def beat(self) -> None:
+        """A sign of life, not more often than needed.
+
+        Raises:
+            DeviceError: the supervisor has stopped the motion, or is gone itself.
+        """
+        now_s = self._clock.now_s()
+        if now_s - self._beat_at_s >= BEAT_EVERY_S:
+            self._beat_at_s = now_s
+            self._say(supervisor.BEAT)
+            if self._systemd is not None:
+                with contextlib.suppress(OSError):
+                    self._systemd.send(b"WATCHDOG=1")
+
+    def stop(self) -> None:
+        """Let the supervisor stop the motion, whatever this process is doing. From any thread; never waits."""
+        with contextlib.suppress(OSError):
+            os.write(self._to, supervisor.STOP)
+
+    def close(self) -> None:
+        """Let it leave; a second call does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        with contextlib.suppress(OSError):
+            os.write(self._to, supervisor.DISARM + supervisor.LEAVE)
+        os.close(self._to)
+        try:
+            self._process.wait(LEAVE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        os.close(self._from)
+        if self._systemd is not None:
+            self._systemd.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _say(self, word: bytes) -> None:
+        try:
+            os.write(self._to, word)
+        except BlockingIOError:
+            # It has not read for thousands of beats; if it lives it will find that none is missing.
+            return
+        except OSError as error:
+            raise DeviceError(f"supervisor: {self._last_words()}") from error
+        if select.select([self._from], [], [], 0.0)[0]:
+            raise DeviceError(f"supervisor: {self._last_words()}")
+
+    def _last_words(self) -> str:
+        said = b""
+        if select.select([self._from], [], [], LEAVE_S)[0]:
+            said = os.read(self._from, 4096)
+        if said:
+            return f"it has stopped the motion: {said.decode(errors='replace')}"
+        return "its process has ended; end what ended it, and start the run again"
+
+
+def _systemd() -> socket.socket | None:
+    """Where systemd waits for signs of life, if this process runs under its watchdog (sd_notify(3))."""
+    address = os.environ.get("NOTIFY_SOCKET", "")
+    if not address or "WATCHDOG_USEC" not in os.environ:
+        return None
+    found = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        found.connect("\0" + address[1:] if address.startswith("@") else address)
+    except OSError:
+        found.close()
+        return None
+    return found

@@ -1,0 +1,57 @@
+"""Runs into planted faults: whatever fails, the tip goes no deeper, and the run ends with the reason.
+
+The eyes are told the truth (``true_eyes``): what is tested is the loop's answer to the fault and not a network's
+to the picture.
+"""
+
+import re
+from pathlib import Path
+
+import pytest
+from true_eyes import virtual_rig
+
+from milling.job import Job
+from milling.record import read_run
+
+JOB = Job(n_points=16, thickness_low_mm=0.1, thickness_high_mm=0.3)
+ENDED_BADLY = {"held", "aborted"}
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("camera.stuck@20s", "same bytes twice"),
+        ("camera.off@20s", "no fresh frame"),
+        ("camera.slow=400ms@20s", "no fresh frame"),
+        ("camera.skew=60ms@20s", "no fresh frame"),
+        ("camera.black@20s", "same bytes twice"),
+        ("serial.stall@20s", "motion|in-process"),
+        ("serial.unplug@20s", "plug"),
+        ("serial.drop=0.02@20s", "in-process:motion"),
+        ("serial.flip=0.02@20s", "in-process:motion"),
+        ("motion.alarm=1@20s", "[Aa]larm|ALARM"),
+        ("motion.reset@20s", "reset|restart|banner"),
+        ("motion.no_soft_limits", r"soft limits|\$20"),
+        ("can.bus_off@20s", "spindle"),
+        ("can.silent@20s", "spindle"),
+        ("spindle.stall@20s", "spindle"),
+        ("spindle.slow=30%@20s", "spindle"),
+        ("spindle.overspeed@20s", "spindle"),
+        ("spindle.emcy@20s", "spindle"),
+        ("vision.nan@4s", "no sense"),
+        ("vision.slow=400ms@4s", "no fresh frame|."),
+    ],
+)
+def test_a_fault_ends_the_run_with_its_reason_and_a_whole_membrane(tmp_path: Path, fault: str, reason: str) -> None:
+    rig = virtual_rig(faults=[fault])
+    try:
+        result = rig.run(tmp_path / "run", JOB)
+    finally:
+        rig.close()
+    truth = rig.bench.machine.truth()
+    assert result.outcome in ENDED_BADLY
+    assert re.search(reason, result.reason)
+    assert not truth.membrane_touched
+    record = read_run(tmp_path / "run")
+    assert record.damage is None
+    assert [event["kind"] for event in record.events][-1] in {"outcome", "stage"}

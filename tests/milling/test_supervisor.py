@@ -1,0 +1,208 @@
+"""The supervisor: it stops the motion on silence, on request and on the death of who mills, and at no other time."""
+
+import ast
+import contextlib
+import os
+import pty
+import select
+import sys
+import threading
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from drivers.clock import SystemClock
+from drivers.errors import DeviceError
+from drivers.motion.interface import StopPath
+from milling import supervisor
+from milling.guard import Guard
+
+SCRIPT = ((b"!", 0.0), (b"\x18", 0.0))
+WORDS = b"!\x18"
+
+
+@pytest.fixture
+def wire() -> Iterator[tuple[int, int]]:
+    """A port and its far end."""
+    far, near = pty.openpty()
+    tty.setraw(near)
+    yield near, far
+    os.close(near)
+    os.close(far)
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """Where the one who mills speaks; `supervisor.watch` hears it."""
+    hears, speaks = os.pipe()
+    monkeypatch.setattr(supervisor, "STDIN", hears)
+    yield speaks
+    os.close(hears)
+
+
+def written(far: int, wait_s: float = 0.0) -> bytes:
+    return os.read(far, 64) if select.select([far], [], [], wait_s)[0] else b""
+
+
+def watched(port: int, speaks: int, words: bytes, *, silence_s: float = 0.02, ends: bool = False) -> str:
+    os.write(speaks, words)
+    if ends:
+        os.close(speaks)
+    try:
+        return supervisor.watch(port, silence_s, SCRIPT)
+    finally:
+        if not ends:
+            os.close(speaks)
+
+
+def test_silence_of_one_who_mills_stops_the_motion(wire, said) -> None:
+    near, far = wire
+    assert watched(near, said, b"A").startswith("no sign of life for 0.0")
+    assert written(far) == WORDS
+
+
+def test_the_end_of_the_pipe_stops_the_motion_while_armed(wire, said) -> None:
+    near, far = wire
+    assert watched(near, said, b"A.", ends=True, silence_s=5.0) == "the process that mills is gone"
+    assert written(far) == WORDS
+
+
+@pytest.mark.parametrize("words", [b"", b"A.D", b"AD.", b"DAD"])
+def test_the_end_of_the_pipe_is_nothing_while_the_drill_is_out_of_the_bone(wire, said, words: bytes) -> None:
+    near, far = wire
+    if words:
+        os.write(said, words)
+    os.close(said)
+    assert supervisor.watch(near, 5.0, SCRIPT) == ""
+    assert written(far) == b""
+
+
+@pytest.mark.parametrize("words", [b"!", b"A!", b"AD!", b"A.!Q"])
+def test_it_stops_when_told_whatever_else_was_said(wire, said, words: bytes) -> None:
+    near, far = wire
+    assert watched(near, said, words, silence_s=5.0) == "told to stop"
+    assert written(far) == WORDS
+
+
+def test_it_leaves_when_told(wire, said) -> None:
+    near, far = wire
+    assert watched(near, said, b"A.DQ", silence_s=5.0) == ""
+    assert written(far) == b""
+
+
+def test_a_sign_of_life_that_comes_too_late_is_none(wire, said, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A computer that slept wakes up with a pipe full of beats."""
+    near, far = wire
+    times = iter([0.0, 0.0, 0.0, 0.0, 7.5, 7.5, 7.5])
+    monkeypatch.setattr(supervisor.time, "monotonic", lambda: next(times))
+    os.write(said, b"A")
+    hears, real_read = supervisor.STDIN, os.read
+
+    def read(fd: int, n: int) -> bytes:
+        data = real_read(fd, n)
+        if fd == hears:
+            os.write(said, b".....")
+        return data
+
+    monkeypatch.setattr(supervisor.os, "read", read)
+    assert supervisor.watch(near, 5.0, SCRIPT) == "no sign of life for 7.500 s"
+    assert written(far) == WORDS
+    os.close(said)
+
+
+def test_waits_of_the_script_are_kept(wire, said, monkeypatch: pytest.MonkeyPatch) -> None:
+    near, far = wire
+    order: list[object] = []
+    monkeypatch.setattr(supervisor.time, "sleep", lambda wait_s: order.append((wait_s, written(far))))
+    os.write(said, b"!")
+    supervisor.watch(near, 5.0, ((b"!", 0.2), (b"\x18", 0.5)))
+    assert order == [(0.2, b"!"), (0.5, b"\x18")]
+    os.close(said)
+
+
+def test_a_port_that_is_gone_is_said(said) -> None:
+    hears, speaks = os.pipe()
+    os.close(hears)
+    assert watched(speaks, said, b"!") == "told to stop; the port took no bytes"
+    os.close(speaks)
+
+
+def test_a_port_that_takes_nothing_is_given_up(said, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(supervisor, "TAKES_NOTHING_S", 0.0)
+    hears, port = os.pipe()
+    os.set_blocking(port, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(port, bytes(4096))
+    assert watched(port, said, b"!") == "told to stop; the port took no bytes"
+    os.close(hears)
+    os.close(port)
+
+
+def test_it_needs_nothing_but_the_standard_library() -> None:
+    tree = ast.parse(Path(supervisor.__file__).read_text())
+    names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    names |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    assert {name.partition(".")[0] for name in names} <= sys.stdlib_module_names
+
+
+# As a process of its own.
+
+
+@pytest.fixture
+def guard(wire) -> Iterator[Guard]:
+    with Guard(StopPath(wire[0], SCRIPT), SystemClock(), silence_s=30.0) as started:
+        yield started
+
+
+def test_a_guard_that_is_closed_leaves_the_machine_alone(wire) -> None:
+    near, far = wire
+    with Guard(StopPath(near, SCRIPT), SystemClock(), silence_s=30.0) as started:
+        started.arm()
+        started.beat()
+    started.close()
+    assert written(far) == b""
+
+
+def test_a_guard_stops_when_asked_from_another_thread_and_says_so_ever_after(wire, guard: Guard) -> None:
+    _, far = wire
+    guard.arm()
+    thread = threading.Thread(target=guard.stop)
+    thread.start()
+    thread.join()
+    assert written(far, 5.0) + written(far, 0.2) == WORDS
+    guard._process.wait(5.0)
+    with pytest.raises(DeviceError, match="it has stopped the motion: told to stop"):
+        guard.disarm()
+
+
+def test_a_supervisor_that_was_killed_is_missed_at_the_next_beat(wire, guard: Guard) -> None:
+    _, far = wire
+    guard.arm()
+    guard._process.kill()
+    guard._process.wait(5.0)
+    with pytest.raises(DeviceError, match="its process has ended"):
+        guard.beat()
+    assert written(far) == b""
+
+
+def test_the_death_of_who_mills_stops_the_motion(wire, guard: Guard) -> None:
+    _, far = wire
+    guard.arm()
+    nothing, _ = ends = os.pipe()
+    os.dup2(nothing, guard._to)
+    assert written(far, 5.0) + written(far, 0.2) == WORDS
+    for end in ends:
+        os.close(end)
+
+
+def test_a_frozen_process_is_stopped_within_its_silence(wire) -> None:
+    near, far = wire
+    with Guard(StopPath(near, SCRIPT), SystemClock(), silence_s=0.05) as started:
+        started.arm()
+        assert written(far, 5.0) + written(far, 0.2) == WORDS
+        started._process.wait(5.0)
+        with pytest.raises(DeviceError, match="no sign of life"):
+            started.beat()
