@@ -16,6 +16,7 @@ from cli.emulate import sorted_faults, spoiled
 from cli.options import BenchChoice, json_option, on_a_bench
 from cli.output import console_beside, write_json
 from cli.rig import Rig, rig_for
+from drivers.device import closed_in_the_end
 from drivers.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -61,6 +62,10 @@ def run(
     from vision.keypoints import LandmarkFinder, TipFinder
 
     console = console_beside(json_file)
+
+    def while_closing(error: Exception) -> None:
+        console.print(f"while closing: {error}", highlight=False, soft_wrap=True)
+
     folder = record or Path("runs") / datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
     if (folder / "events.jsonl").exists():
         raise ConfigError(f"{folder}: holds a run already, which is kept; name another --record folder")
@@ -76,7 +81,11 @@ def run(
         known = (
             None if chosen.emulate and calibration is None else Calibration.load(path, None, for_milling=True, **age)
         )
-        with bench.open_spindle() as spindle, bench.open_camera() as camera, bench.open_motion() as motion:
+        with (
+            closed_in_the_end(bench.open_spindle(), while_closing) as spindle,
+            closed_in_the_end(bench.open_camera(), while_closing) as camera,
+            closed_in_the_end(bench.open_motion(), while_closing) as motion,
+        ):
             identity = rig_identity(bench, motion, camera, spindle.identity)
             if known is None:
                 console.print("homing")

@@ -1,8 +1,12 @@
 """What every device promises."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
-from typing import Self
+from typing import Self, TypeVar
+
+from drivers.errors import DeviceError
 
 
 class Device(ABC):
@@ -22,3 +26,21 @@ class Device(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+Opened = TypeVar("Opened", bound=Device)
+
+
+@contextmanager
+def closed_in_the_end(device: Opened, told: Callable[[DeviceError], None]) -> Iterator[Opened]:
+    """A with-statement whose end hands the error of closing to ``told``.
+
+    A device that fails is often one that cannot be closed in peace; that must not hide how the work with it ended.
+    """
+    try:
+        yield device
+    finally:
+        try:
+            device.close()
+        except DeviceError as error:
+            told(error)

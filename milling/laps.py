@@ -38,6 +38,8 @@ LOG_S = 0.2
 PAUSE_AFTER_S = 0.15
 """Frames older than this, and the drill leaves the bone."""
 GIVE_UP_AFTER_S = 2.0
+MOST_PAUSES = 8
+"""Within one lap: eyes that are late again and again guide nothing, and each way back into the kerf is a risk."""
 ENTER_FEED_MM_S = 1.0
 ACROSS_FEED_MM_S = 15.0
 IDLE_LAPS = 2
@@ -113,6 +115,8 @@ class Laps:
         self._torque = 0.0
         self._bitten = 0
         self._logged_s = float("-inf")
+        self._paused_at: deque[float] = deque(maxlen=MOST_PAUSES)
+        """Laps at the last pauses."""
         self._track: deque[tuple[float, float]] = deque(maxlen=64)
         """Where the tip was lately, for its speed."""
 
@@ -289,6 +293,12 @@ class Laps:
         self._hands.recorder.event("state", state="paused", reason="no fresh frame")
         self._follow(self._hands.settle())
         self._hands.lift(LIFT_MM)
+        self._paused_at.append(self.laps)
+        if len(self._paused_at) == MOST_PAUSES and self.laps - self._paused_at[0] < 1.0:
+            raise SafetyStop(
+                f"no fresh frame {MOST_PAUSES} times within one lap; pictures must be at most {PAUSE_AFTER_S:g} s old: "
+                "check the cameras' rate and latency, and what else this machine is doing"
+            )
         waited_s = self._hands.clock.now_s()
         while not self._watch.glance(None):
             self._hands.beat()

@@ -11,13 +11,14 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from calib import procedure
 from drivers.camera.stereo import StereoPair
+from drivers.device import closed_in_the_end
 from drivers.motion.grbl.driver import GrblController
 from drivers.spindle.cia402 import Cia402Spindle
 from firmware_sim.bench import ORIGIN_MM, Bench, open_in_process
@@ -73,11 +74,12 @@ def mill(
     line, bus, left, right = open_in_process(bench, clock, fps=FPS, render=render)
     x, y, z = (bench.specimen.tool.ball_radius_mm * along for along in bench.specimen.tool.axis)
     eyes = finders(clock)
+    closed = partial(closed_in_the_end, told=lambda _: None)
     with (
         recorder(clock) as record,
-        closing(GrblController(line, clock, origin_mm=ORIGIN_MM, max_feed_mm_per_s=MAX_FEED_MM_S)) as motion,
-        closing(Cia402Spindle(bus, clock, node_id=1, max_speed_rpm=MAX_SPEED_RPM)) as spindle,
-        closing(StereoPair(left, right, clock, size_px=SIZE_PX, max_skew_s=MAX_SKEW_S)) as camera,
+        closed(GrblController(line, clock, origin_mm=ORIGIN_MM, max_feed_mm_per_s=MAX_FEED_MM_S)) as motion,
+        closed(Cia402Spindle(bus, clock, node_id=1, max_speed_rpm=MAX_SPEED_RPM)) as spindle,
+        closed(StereoPair(left, right, clock, size_px=SIZE_PX, max_skew_s=MAX_SKEW_S)) as camera,
     ):
         motion.home()
         calibration = procedure.calibrate(motion, camera, eyes.find_tip, clock=clock, tool_offset_mm=(x, y, z))

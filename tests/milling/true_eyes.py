@@ -1,6 +1,7 @@
 """Eyes that are told the truth, so that the loop is tested by itself and not the networks. The wires stay real."""
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -115,9 +116,9 @@ class VirtualRig:
         return result
 
     def close(self) -> None:
-        self.camera.close()
-        self.spindle.close()
-        self.motion.close()
+        with ExitStack() as all_of_them:
+            for device in (self.camera, self.spindle, self.motion):
+                all_of_them.callback(device.close)
 
 
 def virtual_rig(specimen: Specimen = THIN, *, dialect: str = "gnea", faults: Sequence[str] = ()) -> VirtualRig:
