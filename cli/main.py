@@ -17,6 +17,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "emulate": ("cli.emulate", "Serve a virtual bench on real wires, for the other commands to use."),
     "calibrate": ("cli.calibrate", "Calibrate the stereo microscope against the robot."),
     "run": ("cli.run", "Mill one window in a closed loop."),
+    "resume": ("cli.resume", "Go on with a window whose run ended too early."),
     "jog": ("cli.jog", "Move the drill by hand, or home it."),
     "stop": ("cli.stop", "Stop motion and spindle of a rig, whoever runs it."),
     "devices": ("cli.devices", "List what is plugged in."),

@@ -50,6 +50,8 @@ class ContactFinder:
         start_z_mm: list[float],
         predicted_z_mm: list[float],
         told: Callable[[int, float], None],
+        *,
+        across_z_mm: float | None = None,
     ) -> list[float]:
         """Heights of the tip at contact, (n,) mm in {R}.
 
@@ -58,6 +60,7 @@ class ContactFinder:
             start_z_mm: heights that should be in the air.
             predicted_z_mm: where contact should be.
             told: each point's index and height, as it is found.
+            across_z_mm: height on the way from place to place; close above the last one, where left out.
 
         Raises:
             PlanError: no bone down to the floor, or bone above the start.
@@ -70,6 +73,8 @@ class ContactFinder:
                 if self._error_mm is not None:
                     start = min(start, predicted_z_mm[index] + self._error_mm + NEAR_MM)
                 clear = max(start, found[-1] if found else start) + BETWEEN_MM
+                if across_z_mm is not None:
+                    clear = max(clear, across_z_mm)
                 height = self._find(index, (x, y), start, clear, start_z_mm[index])
                 self._error_mm = height - predicted_z_mm[index]
                 found.append(height)

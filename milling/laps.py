@@ -271,6 +271,7 @@ class Laps:
             self._meter.report(nearest % self._n, report.torque_fraction, offset=where - nearest, speed=speed)
 
     def _leave(self, index: int, time_s: float) -> None:
+        deeper = float(self._depth[index]) > self.permits.cut_mm(index)
         self.permits.passed(index, depth_mm=float(self._depth[index]), now_s=time_s)
         if self._meter is None:
             return
@@ -279,6 +280,16 @@ class Laps:
         )
         if feeling is not None:
             self.permits.felt(index, ratio=feeling.ratio, above_idle=feeling.above_idle)
+        if deeper:
+            # The journal that a later run may go on from: what was cut and what it felt like, point by point.
+            self._hands.recorder.event(
+                "pass",
+                point=index + 1,
+                depth_mm=float(self._depth[index]),
+                ratio=None if feeling is None else feeling.ratio,
+                above_idle=feeling is None or feeling.above_idle,
+                sound=None if feeling is None else feeling.sound,
+            )
 
     def _log(self, report: SpindleStatus) -> None:
         """Load and place a few times a second, for the report."""

@@ -69,6 +69,8 @@ class Feeling:
     ratio: float | None
     above_idle: bool
     samples: int
+    sound: float | None = None
+    """Load by swept area, where there must have been bone below: what later passes are compared with."""
 
 
 class LoadMeter:
@@ -106,6 +108,10 @@ class LoadMeter:
         self._paused = [0] * n_points
         """Passes without a bite before those."""
         self._sound: list[deque[float]] = [deque(maxlen=_HISTORY) for _ in range(n_points)]
+
+    def recall(self, index: int, sound: float) -> None:
+        """What a pass over bone took at this point in an earlier run of the same window."""
+        self._sound[index].append(sound)
 
     def report(self, index: int, torque: float, *, offset: float, speed: float) -> None:
         """One report taken near a point.
@@ -161,10 +167,11 @@ class LoadMeter:
         long = self._paused[index] >= LONG_PAUSE
         steady = self._bitten[index] >= (2 if long else 1)
         self._bitten[index] += 1
-        if settled and steady and depth_mm[index] <= self._sound_depth_mm:
-            self._sound[index].append(gain)
+        sound = gain if settled and steady and depth_mm[index] <= self._sound_depth_mm else None
+        if sound is not None:
+            self._sound[index].append(sound)
         ratio = gain / reference if settled and steady and reference is not None else None
-        return Feeling(ratio, self.idle.above(torques, 3.0), len(torques))
+        return Feeling(ratio, self.idle.above(torques, 3.0), len(torques), sound)
 
     def _bend(self, index: int, depth_mm: Sequence[float]) -> float:
         """How much more than its length a pass cuts here."""

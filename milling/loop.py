@@ -9,7 +9,7 @@ Whatever ends it, the drill is lifted (or killed) and confirmed to stand, and th
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ from milling.equipment import Finders, Rig
 from milling.eyes import RingView, Watch
 from milling.hands import RETRACT_MM, Hands, Interrupted
 from milling.job import Job
+from milling.journal import lap_told, points_told
 from milling.laps import Laps, Permits
 from milling.latch import Latch, Reaction, reaction_to
 from milling.load import Idle, LoadMeter
@@ -32,6 +33,7 @@ from milling.planner import policy_for
 from milling.point import PointState
 from milling.published import Unguarded
 from milling.result import Outcome, Progress, RunResult
+from milling.standing import Standing, require_unmoved, touch_again
 from milling.survey import survey, verify_calibration
 from milling.trajectory import Trajectory
 
@@ -63,6 +65,7 @@ def run(
     *,
     progress: Callable[[Progress], None] = lambda _: None,
     stop_requested: Callable[[], bool] = lambda: False,
+    standing: Standing | None = None,
 ) -> RunResult:
     """Mill one window. Never raises for what a machine, a picture or a person can do; the result says why it ended.
 
@@ -77,8 +80,9 @@ def run(
         recorder: takes every event; the caller closes it.
         progress: told at each stage and lap.
         stop_requested: looked at before every segment and in every wait; True ends the run within a second.
+        standing: an earlier run's window, to go on with.
     """
-    return _Run(rig, calibration, finders, job, recorder, progress, stop_requested).run()
+    return _Run(rig, calibration, finders, job, recorder, progress, stop_requested, standing).run()
 
 
 @dataclass
@@ -106,6 +110,7 @@ class _Run:
     recorder: Recorder
     progress: Callable[[Progress], None]
     stop_requested: Callable[[], bool]
+    standing: Standing | None = None
     latch: Latch = field(default_factory=Latch)
     ring: _Ring | None = None
     milling_from_s: float | None = None
@@ -155,16 +160,21 @@ class _Run:
         self._tell("park")
         self._go_high(self.rig.park_mm, self.rig.park_mm[2])
         self.hands.watch(0.2)
-        reference, trajectory = survey(
-            self.rig, self.calibration, self.finders, self.job, self.recorder, self._tell,
-            flat_start=self.policy.flat_start,
-        )  # fmt: skip
+        if self.standing is None:
+            reference, trajectory = survey(
+                self.rig, self.calibration, self.finders, self.job, self.recorder, self._tell,
+                flat_start=self.policy.flat_start,
+            )  # fmt: skip
+        else:
+            reference, trajectory = self._recognize(self.standing)
         self._check_stop()
         floor_mm = self._set_floor(trajectory.lowest_tip_z_mm(self.job.thickness_high_mm))
         idle = self._approach(trajectory)
         self.milling_from_s = self.rig.clock.now_s()
         self.ring = self._guarded(trajectory, reference, idle, floor_mm) if self.policy.guarded else None
         self.ring = self.ring or self._unguarded(trajectory, reference, floor_mm)
+        if self.standing is not None and self.ring.ledger is not None:
+            self._look(self.ring, self.ring.ledger)
         outcome, reason = self._mill(self.ring)
         self._tell("retract")
         self._leave()
@@ -197,8 +207,19 @@ class _Run:
         self.recorder.event("idle", torque=idle.mean, sigma=idle.sigma)
         return idle
 
+    def _recognize(self, standing: Standing) -> tuple[Image, Trajectory]:
+        """The skull of the earlier run, where it was; its unmilled picture and its ring."""
+        now = self.rig.camera.capture().left
+        self.recorder.frame("reference_left", standing.reference)
+        self.recorder.frame("now_left", now)
+        ring_px = self.calibration.project(standing.trajectory.fit_mm)[0]
+        shift_px = require_unmoved(standing, now, ring_px)
+        self._tell("recognized", f"the skull lies where it lay, to {shift_px:.1f} px")
+        standing.trajectory.tell(self.recorder)
+        return standing.reference, standing.trajectory
+
     def _guarded(self, trajectory: Trajectory, reference: Image, idle: Idle, floor_mm: float) -> _Ring:
-        """Contact under every point, and the ledger that counts from it."""
+        """Contact under every point, and the ledger that counts from it; or both as an earlier run left them."""
         job, tip = self.job, trajectory.tip_mm
         ledger = Ledger(job.n_points, job.limits, pitch_mm=trajectory.length_mm / job.n_points)
         predicted = [float(z) for z in trajectory.contact_z_mm]
@@ -208,12 +229,22 @@ class _Run:
             self.recorder.event("contact", point=index + 1, z_mm=height, predicted_mm=predicted[index])
             self._tell("contact", f"point {index + 1} of {job.n_points}")
 
+        def told_again(index: int, height: float) -> None:
+            self._tell("contact", f"the kerf's floor under point {index + 1}, z = {height:.3f} mm")
+
         self._tell("contact")
         self.hands.into_the_bone()
         finder = ContactFinder(self.hands, idle, floor_mm)
-        found = finder.find_all(
-            [(float(x), float(y)) for x, y in tip[:, :2]], [float(z) for z in tip[:, 2]], predicted, told
-        )
+        if self.standing is None:
+            found = finder.find_all(
+                [(float(x), float(y)) for x, y in tip[:, :2]], [float(z) for z in tip[:, 2]], predicted, told
+            )
+        else:
+            ledger = self.standing.ledger(job)
+            found = touch_again(self.standing, ledger, finder, told_again)
+            for index, height in enumerate(found):
+                self.recorder.event("contact", point=index + 1, z_mm=height, predicted_mm=predicted[index])
+            self.standing.tell(self.recorder)
         top = np.asarray(found)
         meter = LoadMeter(
             found,
@@ -222,6 +253,8 @@ class _Run:
             ball_radius_mm=job.ball_radius_mm,
             sound_depth_mm=job.thickness_low_mm,
         )
+        if self.standing is not None:
+            self.standing.recall_loads(meter)
         bottom = top + self.offset[2] - job.ball_radius_mm
         return self._ring(trajectory, reference, top, bottom, ledger, ledger, meter)
 
@@ -349,48 +382,16 @@ class _Run:
         self.progress(Progress(stage, detail))
 
     def _tell_lap(self, laps: Laps) -> None:
-        permits = laps.permits
-        n = self.job.n_points
-        depth = tuple(permits.cut_mm(i) for i in range(n))
-        completion = tuple(permits.completion(i) for i in range(n))
-        points = permits.points if isinstance(permits, Ledger) else []
-        state = tuple(point.state.value for point in points)
-        elapsed = 0.0 if self.milling_from_s is None else self.rig.clock.now_s() - self.milling_from_s
-        self.recorder.event(
-            "lap",
-            lap=round(laps.laps, 3),
-            depth_mm=depth,
-            completion=completion,
-            upper=[point.upper for point in points],
-            load_ratio=[point.load_ratio for point in points],
-            left_probability=[point.left_probability for point in points],
-            state=state,
-            torque=laps.torque,
-        )
-        self.progress(Progress("mill", "", laps.laps, depth, completion, state, laps.torque, elapsed))
+        elapsed_s = 0.0 if self.milling_from_s is None else self.rig.clock.now_s() - self.milling_from_s
+        told, progress = lap_told(laps, self.job.n_points, elapsed_s)
+        self.recorder.event("lap", **told)
+        self.progress(progress)
 
     def _result(self, outcome: Outcome, reason: str) -> RunResult:
         ring = self.ring
         if ring is None:
             return RunResult(outcome, reason, self.milling_time_s, 0.0)
-        points: list[dict[str, Any]] = []
-        for index in range(self.job.n_points):
-            entry: dict[str, Any] = {
-                "depth_mm": ring.permits.cut_mm(index),
-                "completion": ring.permits.completion(index),
-            }
-            if ring.ledger is not None:
-                point = ring.ledger.points[index]
-                entry |= {
-                    "contact_mm": float(ring.top_z_mm[index]),
-                    "upper": point.upper,
-                    "load_ratio": point.load_ratio,
-                    "left_probability": point.left_probability,
-                    "state": point.state.value,
-                    "why": point.why,
-                    "permissions": dict(point.verdicts),
-                }
-            points.append(entry)
+        points = points_told(ring.permits, ring.top_z_mm.tolist())
         x, y, z = (float(value) for value in ring.trajectory.ball_mm.mean(axis=0))
         radius_mm = float(np.linalg.norm(ring.trajectory.ball_mm[:, :2] - [x, y], axis=1).mean())
-        return RunResult(outcome, reason, self.milling_time_s, ring.laps.laps, tuple(points), (x, y, z), radius_mm)
+        return RunResult(outcome, reason, self.milling_time_s, ring.laps.laps, points, (x, y, z), radius_mm)

@@ -98,6 +98,11 @@ class Ledger:
             raise SafetyStop(f"point {index + 1}: {error}") from None
         self._stale = True
 
+    def recall(self, index: int, *, depth_mm: float, now_s: float) -> None:
+        """An earlier run left the point at ``depth_mm``, which nobody can take back."""
+        self._points[index].granted_mm = max(depth_mm, self._points[index].cut_mm)
+        self.passed(index, depth_mm=depth_mm, now_s=now_s)
+
     def void(self, index: int) -> None:
         """The visit ended before the tip reached the point: its permission is gone, its depth what it was."""
         self._points[index].granted_mm = None

@@ -94,18 +94,7 @@ def survey(
         matches=len(points),
         measured=surface.measured.mean(),
     )
-    recorder.event(
-        "trajectory",
-        center_mm=trajectory.center_mm,
-        ball_mm=trajectory.ball_mm,
-        tip_mm=trajectory.tip_mm,
-        fit_mm=trajectory.fit_mm,
-        sigma_mm=trajectory.sigma_mm,
-        offset_mm=trajectory.offset_mm,
-        bregma_px=landmarks_px[0],
-        lambda_px=landmarks_px[1],
-        note=trajectory.note,
-    )
+    trajectory.tell(recorder, bregma_px=landmarks_px[0], lambda_px=landmarks_px[1])
     tell("trajectory", trajectory.note)
     return frame.left, trajectory
 

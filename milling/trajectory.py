@@ -8,6 +8,7 @@ the tip, and ``center_from_tip_mm`` joins the two.
 from dataclasses import dataclass
 from functools import cached_property
 from math import pi
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from drivers.errors import PlanError
 from drivers.motion.interface import Travel
+from drivers.recorder import Recorder
 from milling.job import Job
 from milling.spline import periodic_spline
 from milling.surface import Surface
@@ -66,6 +68,22 @@ class Trajectory:
     def knots_mm(self) -> Floats:
         """(n,) arc length at the points; the first is 0."""
         return np.asarray(self.path.x[:-1], dtype=np.float64)
+
+    def tell(self, recorder: Recorder, **more: Any) -> None:
+        """Enter it into the record, whole."""
+        recorder.event(
+            "trajectory",
+            center_mm=self.center_mm,
+            ball_mm=self.ball_mm,
+            tip_mm=self.tip_mm,
+            fit_mm=self.fit_mm,
+            normals=self.normals,
+            sigma_mm=self.sigma_mm,
+            contact_z_mm=self.contact_z_mm,
+            offset_mm=self.offset_mm,
+            note=self.note,
+            **more,
+        )
 
     def lowest_tip_z_mm(self, depth_mm: float) -> float:
         """The lowest tip height that ``depth_mm`` below the fitted surface can need, predicted error included."""

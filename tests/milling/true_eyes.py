@@ -23,6 +23,7 @@ from firmware_sim.specimen import SkullShape, Specimen, Thickness, Tilt
 from milling import loop
 from milling.job import Job
 from milling.record import RunRecorder
+from milling.standing import Standing
 from vision.completion import CompletionReading
 from vision.disparity import match
 from vision.keypoints import Keypoint
@@ -101,6 +102,7 @@ class VirtualRig:
         *,
         progress: Callable[[loop.Progress], None] = lambda _: None,
         stop_requested: Callable[[], bool] = lambda: False,
+        standing: Standing | None = None,
     ) -> loop.RunResult:
         with RunRecorder(folder, {"seed": self.bench.specimen.seed}, self.clock) as recorder:
             result = loop.run(
@@ -111,6 +113,7 @@ class VirtualRig:
                 recorder,
                 progress=progress,
                 stop_requested=stop_requested,
+                standing=standing,
             )
             recorder.close(result.to_json())
         return result

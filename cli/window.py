@@ -1,0 +1,197 @@
+"""One window from open devices to the report: what `mill run` and `mill resume` share."""
+
+import contextlib
+import signal
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cli.calibrate import calibrate_rig, calibration_path, rig_identity
+from cli.emulate import sorted_faults, spoiled
+from cli.options import BenchChoice
+from cli.output import console_beside, write_json
+from cli.rig import Rig, rig_for
+from drivers.device import closed_in_the_end
+from drivers.errors import ConfigError
+
+if TYPE_CHECKING:
+    from calib.calibration_file import Calibration
+    from drivers.motion.interface import MotionController
+    from milling.guard import Guard
+    from milling.job import Job
+    from milling.standing import Standing
+
+
+@dataclass(frozen=True)
+class Window:
+    """What is asked for."""
+
+    command: str
+    chosen: BenchChoice
+    job: Callable[[Rig], "Job"]
+    """What to mill on this rig."""
+    calibration: Path | None = None
+    record: Path | None = None
+    json_file: Path | None = None
+    standing: "Standing | None" = None
+    """An earlier run's window, to go on with."""
+    header: "tuple[tuple[str, Any], ...]" = ()
+    """What else the record's header tells."""
+
+
+def mill_window(asked: Window) -> None:
+    """Open the devices, mill, write record and report, and tell how it ended; exit code 1 where not as asked.
+
+    Raises:
+        ConfigError: a file that cannot be used; nothing has moved.
+    """
+    chosen, json_file = asked.chosen, asked.json_file
+    from calib.calibration_file import Calibration
+    from cli.progress import watched
+    from cli.score import Scorer
+    from milling import loop
+    from milling.loop import Finders
+    from milling.record import RunRecorder
+    from vision.completion import CompletionReader
+    from vision.disparity import match
+    from vision.keypoints import LandmarkFinder, TipFinder
+
+    console = console_beside(json_file)
+
+    def while_closing(error: Exception) -> None:
+        console.print(f"while closing: {error}", highlight=False, soft_wrap=True)
+
+    folder = asked.record or Path("runs") / datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
+    if (folder / "events.jsonl").exists():
+        raise ConfigError(f"{folder}: holds a run already, which is kept; name another --record folder")
+    with _stop_signals() as stop_requested, rig_for(chosen, reads_completion=True) as bench:
+        own = bench.config.weights
+        tip, landmarks = TipFinder.load(own.tip), LandmarkFinder.load(own.landmarks)
+        completion = CompletionReader.load(own.completion)
+        weights = {"tip": tip.sha256, "landmarks": landmarks.sha256, "completion": completion.sha256}
+        planted, own_faults = sorted_faults(chosen.faults)
+        job = asked.job(bench)
+        path = asked.calibration or calibration_path(bench.config.name)
+        age: dict[str, Any] = {"now": datetime.now(UTC), "max_age_h": bench.config.calibration.max_age_h}
+        known = (
+            None
+            if chosen.emulate and asked.calibration is None
+            else Calibration.load(path, None, for_milling=True, **age)
+        )
+        with (
+            closed_in_the_end(bench.open_spindle(), while_closing) as spindle,
+            closed_in_the_end(bench.open_camera(), while_closing) as camera,
+            closed_in_the_end(bench.open_motion(), while_closing) as motion,
+        ):
+            identity = rig_identity(bench, motion, camera, spindle.identity)
+            if known is None:
+                console.print("homing")
+                motion.home()
+                known = calibrate_rig(bench, motion, camera, spindle.identity, tip, console)
+                console.print(f"calibrated: held-out error {known.rmse_mm:.3f} mm ({known.model} model)")
+            else:
+                known = Calibration.load(path, identity, for_milling=True, **age)
+            header = {
+                "command": asked.command,
+                "version": version("micromill"),
+                "date": datetime.now(UTC).isoformat(timespec="seconds"),
+                "rig": bench.config.name,
+                "identity": identity.model_dump(),
+                "seed": chosen.drawn_from,
+                "specimen": str(chosen.specimen) if chosen.specimen else None,
+                "faults": [str(fault) for fault in (*planted, *own_faults)],
+                "job": asdict(job),
+                "weights": weights,
+                "calibration": _calibration_header(known),
+                **dict(asked.header),
+            }
+            with RunRecorder(folder, header, bench.clock, on_loss=console.print) as recorder:
+                known.save(folder / "calibration.toml")
+                reader = spoiled(completion, own_faults, bench.clock, seed=chosen.seed)
+                finders = Finders(tip.find, landmarks.find, reader, match)
+                rig_ = loop.Rig(
+                    motion,
+                    spindle,
+                    camera,
+                    bench.clock,
+                    bench.config.tool.center_from_tip_mm,
+                    bench.config.bench.park_mm,
+                )
+                scorer = Scorer(recorder, bench)
+                with watched(console) as tell, _guarded(motion, bench) as guard:
+                    result = loop.run(
+                        replace(rig_, guard=guard),
+                        known,
+                        finders,
+                        job,
+                        scorer,
+                        progress=tell,
+                        stop_requested=stop_requested,
+                        standing=asked.standing,
+                    )
+                recorder.close(result.to_json())
+        truth = scorer.truth(result)
+    report = write_report(folder)
+    color = "green" if result.outcome == "complete" else "bold red"
+    console.print(f"outcome: [{color}]{result.outcome}[/]  {result.reason}", highlight=False, soft_wrap=True)
+    console.print(f"milling time: {result.milling_time_s:.0f} s", highlight=False)
+    if truth:
+        console.print(
+            f"the virtual bench says: membrane {'TOUCHED' if truth['membrane_touched'] else 'not touched'}, "
+            f"flap {'free' if truth['flap_free'] else 'not free'}",
+            highlight=False,
+        )
+    console.print(f"report: {report}", highlight=False, soft_wrap=True)
+    if json_file:
+        figures = {**result.to_json(), "record": str(folder), "report": str(report)}
+        if truth is not None:
+            figures["truth"] = truth
+        write_json(json_file, asked.command, seed=chosen.drawn_from, **figures)
+    if result.outcome != "complete":
+        raise SystemExit(1)
+
+
+def _calibration_header(calibration: "Calibration") -> dict[str, Any]:
+    return {
+        "model": calibration.model,
+        "rmse_mm": calibration.rmse_mm,
+        "predicted_rmse_mm": calibration.predicted_rmse_mm,
+        "date": calibration.provenance.date,
+    }
+
+
+def write_report(folder: Path) -> Path:
+    """Write the run's report beside its record."""
+    from cli.reports.run_report import write_report as write
+
+    return write(folder)
+
+
+def _guarded(motion: "MotionController", bench: Rig) -> "contextlib.AbstractContextManager[Guard | None]":
+    """A supervisor process for the motion, where one can reach its wire; as patient with us as we are with the wire."""
+    from milling.guard import SILENCE_S, Guard
+
+    path = motion.stop_path
+    reply_s = bench.config.motion.model_dump().get("reply_s", SILENCE_S)
+    return contextlib.nullcontext() if path is None else Guard(path, bench.clock, silence_s=max(SILENCE_S, reply_s))
+
+
+@contextlib.contextmanager
+def _stop_signals() -> Iterator[Callable[[], bool]]:
+    """The first SIGINT or SIGTERM asks the loop to stop; a second SIGINT interrupts whatever it does."""
+    asked: list[int] = []
+
+    def ask(number: int, _frame: object) -> None:
+        if asked and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        asked.append(number)
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(asked)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
