@@ -151,6 +151,42 @@ def test_a_bench_that_vanishes_ends_the_run(rig: Rig, tmp_path: Path, manner: st
     assert any(name in result["reason"] for name in names), result["reason"]
 
 
+def killed_while_milling(rig: Rig, rig_file: Path, folder: Path) -> Path:
+    """The record of a run that SIGKILL ended."""
+    with run_until("mill: ", rig_file, rig.calibration, folder) as (run, record):
+        run.process.kill()
+        run.process.wait(ENDING_S)
+    return record
+
+
+def test_a_run_that_is_killed_leaves_the_drill_lifted_and_the_spindle_still(rig: Rig, tmp_path: Path) -> None:
+    """Nobody is left but the supervisor and the drive."""
+    clock = SystemClock()
+    folder = killed_while_milling(rig, rig.rig_file, tmp_path)
+    deadline_s = clock.now_s() + ENDING_S
+    *_, milled = read_run(folder).of_kind("load")
+    while (truth := truth_of(rig))["tip_mm"][2] - milled["tip_mm"][2] < 1.0 or abs(truth["spindle_rpm"]) > 60.0:
+        assert clock.now_s() < deadline_s, truth
+    assert truth["membrane_touched"] is False
+
+
+@pytest.mark.long
+def test_a_run_that_was_killed_is_resumed(rig: Rig, tmp_path: Path) -> None:
+    with served_bench(tmp_path) as bench:
+        whole, calibration = patient(bench, "whole.toml"), tmp_path / "calibration.toml"
+        with started("calibrate", "--rig", str(whole), "--out", str(calibration)) as calibrate:
+            assert calibrate.end(MILLING_S) == 0, calibrate.said
+        other = Rig(bench, whole, calibration, tmp_path / "calibrate.json")
+        folder = killed_while_milling(other, whole, tmp_path)
+        words = ("--rig", str(whole), "--record", str(tmp_path / "second"))
+        with started("resume", str(folder), *words) as resume:
+            code = resume.end(WINDOW_S)
+        assert (code, resume.err) == (0, ""), resume.said
+        truth = truth_of(other)
+    assert truth["success"] is True
+    assert read_run(tmp_path / "second").header["resumes"] == str(folder)
+
+
 @pytest.mark.long
 def test_a_window_is_milled_from_another_terminal(rig: Rig, tmp_path: Path) -> None:
     folder = tmp_path / "run"
