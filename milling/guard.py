@@ -15,7 +15,7 @@ from drivers.errors import DeviceError, DeviceTimeoutError
 from drivers.motion.interface import StopPath
 from milling import supervisor
 
-SILENCE_S = 0.1
+SILENCE_S = 0.35
 BEAT_EVERY_S = 0.01
 START_S = 5.0
 LEAVE_S = 2.0
@@ -73,7 +73,7 @@ class Guard:
         now_s = self._clock.now_s()
         if now_s - self._beat_at_s >= BEAT_EVERY_S:
             self._beat_at_s = now_s
-            self._say(supervisor.BEAT)
+            self._say(b"%s%.6f" % (supervisor.BEAT, supervisor.now_s()))
             if self._systemd is not None:
                 with contextlib.suppress(OSError):
                     self._systemd.send(b"WATCHDOG=1")
@@ -81,7 +81,7 @@ class Guard:
     def stop(self) -> None:
         """Let the supervisor stop the motion, whatever this process is doing. From any thread; never waits."""
         with contextlib.suppress(OSError):
-            os.write(self._to, supervisor.STOP)
+            os.write(self._to, supervisor.STOP + b"\n")
 
     def close(self) -> None:
         """Let it leave; a second call does nothing."""
@@ -89,7 +89,7 @@ class Guard:
             return
         self._closed = True
         with contextlib.suppress(OSError):
-            os.write(self._to, supervisor.DISARM + supervisor.LEAVE)
+            os.write(self._to, supervisor.DISARM + b"\n" + supervisor.LEAVE + b"\n")
         os.close(self._to)
         try:
             self._process.wait(LEAVE_S)
@@ -110,7 +110,7 @@ class Guard:
 
     def _say(self, word: bytes) -> None:
         try:
-            os.write(self._to, word)
+            os.write(self._to, word + b"\n")
         except BlockingIOError:
             # It has not read for thousands of beats; if it lives it will find that none is missing.
             return
@@ -120,11 +120,12 @@ class Guard:
             raise DeviceError(f"supervisor: {self._last_words()}")
 
     def _last_words(self) -> str:
+        """Why it has ended; its script is over then, so that nobody stops the motion twice at the same time."""
         said = b""
-        if select.select([self._from], [], [], LEAVE_S)[0]:
-            said = os.read(self._from, 4096)
+        while select.select([self._from], [], [], LEAVE_S)[0] and (more := os.read(self._from, 4096)):
+            said += more
         if said:
-            return f"it has stopped the motion: {said.decode(errors='replace')}"
+            return f"it has stopped the motion: {said.decode(errors='replace').splitlines()[0]}"
         return "its process has ended; end what ended it, and start the run again"
 
 

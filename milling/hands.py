@@ -21,6 +21,7 @@ _POLL_S = 0.02
 _BEAT_S = 0.005
 _SPEED_SHARE = 0.15
 _STANDSTILL_RPM = 100.0
+LATE_S = 0.05
 
 
 class Interrupted(Exception):  # noqa: N818  (a person's wish, not an error)
@@ -42,6 +43,8 @@ class Hands:
     on_torque: list[Callable[[SpindleStatus], None]] = field(default_factory=list)
     """Told each new report of the drill."""
     _reported_s: float = float("-inf")
+    _beat_at_s: float = float("inf")
+    _in_bone: bool = False
 
     def beat(self) -> SpindleStatus:
         """A sign of life to the drive, and its report, judged.
@@ -52,8 +55,7 @@ class Hands:
         """
         if self.stop_requested():
             raise Interrupted("stop requested")
-        if self.guard is not None:
-            self.guard.beat()
+        self._live()
         status = self.spindle.status()
         if status.fault is not None:
             raise DeviceError(f"spindle: {status.fault}")
@@ -67,6 +69,15 @@ class Hands:
             for told in self.on_torque:
                 told(status)
         return status
+
+    def _live(self) -> None:
+        """A sign of life to the supervisor; long waits between them go into the record, for whoever wonders."""
+        if self.guard is not None:
+            self.guard.beat()
+        now_s = self.clock.now_s()
+        if now_s - self._beat_at_s > LATE_S:
+            self.recorder.event("late", silent_s=now_s - self._beat_at_s)
+        self._beat_at_s = now_s
 
     def go(self, target_mm: Vector, feed_mm_s: float) -> MotionStatus:
         """One straight move, watched to its end and read back.
@@ -146,13 +157,17 @@ class Hands:
 
     def into_the_bone(self) -> None:
         """From now on a silence of this process stops the motion."""
-        if self.guard is not None:
-            self.guard.arm()
+        self._in_bone = True
+        self._arm(True)
 
     def out_of_the_bone(self) -> None:
         """The drill is in the air: this process may take its time."""
+        self._in_bone = False
+        self._arm(False)
+
+    def _arm(self, watched: bool) -> None:
         if self.guard is not None:
-            self.guard.disarm()
+            (self.guard.arm if watched else self.guard.disarm)()
 
     def lift(self, height_mm: float) -> None:
         """Drop what is queued, then straight up.
@@ -162,14 +177,18 @@ class Hands:
         """
         status = self.motion.status()
         if status.state is not MotionState.IDLE or status.queued_s > 0:
+            # Its first bytes hold the motion. Until it is over nobody gives a sign of life, and nobody else may reset.
+            if self._in_bone:
+                self._arm(False)
             status = self.motion.flush(timeout_s=0.5)
+            if self._in_bone:
+                self._arm(True)
         position = status.position_mm
         top = min(position[2] + height_mm, self.motion.travel.high_mm[2])
         self.motion.start_move((position[0], position[1], top), feed_mm_per_s=RETRACT_FEED_MM_S)
         deadline_s = self.clock.now_s() + 0.5
         while True:
-            if self.guard is not None:
-                self.guard.beat()
+            self._live()
             self.spindle.status()
             status = self.motion.status()
             if status.state is MotionState.IDLE and status.queued_s <= 0:

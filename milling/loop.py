@@ -7,6 +7,7 @@
 Whatever ends it, the drill is lifted (or killed) and confirmed to stand, and the record says why.
 """
 
+import gc
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
@@ -83,6 +84,15 @@ def run(
         standing: an earlier run's window, to go on with.
     """
     return _Run(rig, calibration, finders, job, recorder, progress, stop_requested, standing).run()
+
+
+def _settle_memory() -> None:
+    """A full garbage collection looks at all that was ever loaded, for a tenth of a second, and that in the bone.
+
+    What is there by now stays for the rest of the process and is never looked at again.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 @dataclass
@@ -168,6 +178,7 @@ class _Run:
         else:
             reference, trajectory = self._recognize(self.standing)
         self._check_stop()
+        _settle_memory()
         floor_mm = self._set_floor(trajectory.lowest_tip_z_mm(self.job.thickness_high_mm))
         idle = self._approach(trajectory)
         self.milling_from_s = self.rig.clock.now_s()

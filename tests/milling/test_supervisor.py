@@ -34,10 +34,17 @@ def wire() -> Iterator[tuple[int, int]]:
 
 
 @pytest.fixture
-def said(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+def told() -> list[str]:
+    """What the supervisor says."""
+    return []
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch, told: list[str]) -> Iterator[int]:
     """Where the one who mills speaks; `supervisor.watch` hears it."""
     hears, speaks = os.pipe()
     monkeypatch.setattr(supervisor, "STDIN", hears)
+    monkeypatch.setattr(supervisor, "_tell", told.append)
     yield speaks
     os.close(hears)
 
@@ -46,8 +53,13 @@ def written(far: int, wait_s: float = 0.0) -> bytes:
     return os.read(far, 64) if select.select([far], [], [], wait_s)[0] else b""
 
 
-def watched(port: int, speaks: int, words: bytes, *, silence_s: float = 0.02, ends: bool = False) -> str:
-    os.write(speaks, words)
+def lines(words: str) -> bytes:
+    """Each letter a line; a beat is given now."""
+    return b"".join(b".%.6f\n" % supervisor.now_s() if word == "." else word.encode() + b"\n" for word in words)
+
+
+def watched(port: int, speaks: int, words: str, *, silence_s: float = 0.02, ends: bool = False) -> str:
+    os.write(speaks, lines(words))
     if ends:
         os.close(speaks)
     try:
@@ -59,28 +71,27 @@ def watched(port: int, speaks: int, words: bytes, *, silence_s: float = 0.02, en
 
 def test_silence_of_one_who_mills_stops_the_motion(wire, said) -> None:
     near, far = wire
-    assert watched(near, said, b"A").startswith("no sign of life for 0.0")
+    assert watched(near, said, "A").startswith("no sign of life for 0.0")
     assert written(far) == WORDS
 
 
 def test_the_end_of_the_pipe_stops_the_motion_while_armed(wire, said) -> None:
     near, far = wire
-    assert watched(near, said, b"A.", ends=True, silence_s=5.0) == "the process that mills is gone"
+    assert watched(near, said, "A.", ends=True, silence_s=5.0) == "the process that mills is gone"
     assert written(far) == WORDS
 
 
-@pytest.mark.parametrize("words", [b"", b"A.D", b"AD.", b"DAD"])
-def test_the_end_of_the_pipe_is_nothing_while_the_drill_is_out_of_the_bone(wire, said, words: bytes) -> None:
+@pytest.mark.parametrize("words", ["", "A.D", "AD.", "DAD"])
+def test_the_end_of_the_pipe_is_nothing_while_the_drill_is_out_of_the_bone(wire, said, words: str) -> None:
     near, far = wire
-    if words:
-        os.write(said, words)
+    os.write(said, lines(words))
     os.close(said)
     assert supervisor.watch(near, 5.0, SCRIPT) == ""
     assert written(far) == b""
 
 
-@pytest.mark.parametrize("words", [b"!", b"A!", b"AD!", b"A.!Q"])
-def test_it_stops_when_told_whatever_else_was_said(wire, said, words: bytes) -> None:
+@pytest.mark.parametrize("words", ["!", "A!", "AD!", "A.!Q"])
+def test_it_stops_when_told_whatever_else_was_said(wire, said, words: str) -> None:
     near, far = wire
     assert watched(near, said, words, silence_s=5.0) == "told to stop"
     assert written(far) == WORDS
@@ -88,27 +99,48 @@ def test_it_stops_when_told_whatever_else_was_said(wire, said, words: bytes) -> 
 
 def test_it_leaves_when_told(wire, said) -> None:
     near, far = wire
-    assert watched(near, said, b"A.DQ", silence_s=5.0) == ""
+    assert watched(near, said, "A.DQ", silence_s=5.0) == ""
     assert written(far) == b""
 
 
-def test_a_sign_of_life_that_comes_too_late_is_none(wire, said, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A computer that slept wakes up with a pipe full of beats."""
+def test_signs_of_life_that_were_given_too_far_apart_are_none(wire, said) -> None:
+    """A computer that slept wakes up with a pipe full of beats, which tell that it slept."""
     near, far = wire
-    times = iter([0.0, 0.0, 0.0, 0.0, 7.5, 7.5, 7.5])
-    monkeypatch.setattr(supervisor.time, "monotonic", lambda: next(times))
-    os.write(said, b"A")
-    hears, real_read = supervisor.STDIN, os.read
-
-    def read(fd: int, n: int) -> bytes:
-        data = real_read(fd, n)
-        if fd == hears:
-            os.write(said, b".....")
-        return data
-
-    monkeypatch.setattr(supervisor.os, "read", read)
+    start_s = supervisor.now_s()
+    os.write(said, b"A\n" + b"".join(b".%.6f\n" % (start_s + s) for s in (0.1, 0.2, 7.7, 7.8)))
     assert supervisor.watch(near, 5.0, SCRIPT) == "no sign of life for 7.500 s"
     assert written(far) == WORDS
+    os.close(said)
+
+
+def test_a_supervisor_that_was_kept_waiting_itself_does_not_stop_one_who_lives(wire, said) -> None:
+    near, far = wire
+    start_s = supervisor.now_s()
+    # Half a minute of beats, all read at once.
+    os.write(said, b"A\n" + b"".join(b".%.6f\n" % (start_s + 0.05 * k) for k in range(200)) + b"D\nQ\n")
+    assert supervisor.watch(near, 0.1, SCRIPT) == ""
+    assert written(far) == b""
+    os.close(said)
+
+
+def test_a_line_may_come_in_pieces(wire, said) -> None:
+    near, far = wire
+    os.write(said, b"A\n.")
+    thread = threading.Thread(target=lambda: os.write(said, b"%.6f\nD\nQ\n" % supervisor.now_s()))
+    thread.start()
+    assert supervisor.watch(near, 5.0, SCRIPT) == ""
+    thread.join()
+    assert written(far) == b""
+    os.close(said)
+
+
+def test_why_is_told_when_the_first_bytes_are_on_the_wire(wire, said, told, monkeypatch: pytest.MonkeyPatch) -> None:
+    near, far = wire
+    on_the_wire = []
+    monkeypatch.setattr(supervisor, "_tell", lambda why: on_the_wire.append((why, written(far))))
+    os.write(said, lines("!"))
+    supervisor.watch(near, 5.0, SCRIPT)
+    assert on_the_wire == [("told to stop", b"!")]
     os.close(said)
 
 
@@ -116,7 +148,7 @@ def test_waits_of_the_script_are_kept(wire, said, monkeypatch: pytest.MonkeyPatc
     near, far = wire
     order: list[object] = []
     monkeypatch.setattr(supervisor.time, "sleep", lambda wait_s: order.append((wait_s, written(far))))
-    os.write(said, b"!")
+    os.write(said, lines("!"))
     supervisor.watch(near, 5.0, ((b"!", 0.2), (b"\x18", 0.5)))
     assert order == [(0.2, b"!"), (0.5, b"\x18")]
     os.close(said)
@@ -125,7 +157,7 @@ def test_waits_of_the_script_are_kept(wire, said, monkeypatch: pytest.MonkeyPatc
 def test_a_port_that_is_gone_is_said(said) -> None:
     hears, speaks = os.pipe()
     os.close(hears)
-    assert watched(speaks, said, b"!") == "told to stop; the port took no bytes"
+    assert watched(speaks, said, "!") == "told to stop; the port took no bytes"
     os.close(speaks)
 
 
@@ -136,7 +168,7 @@ def test_a_port_that_takes_nothing_is_given_up(said, monkeypatch: pytest.MonkeyP
     with contextlib.suppress(BlockingIOError):
         while True:
             os.write(port, bytes(4096))
-    assert watched(port, said, b"!") == "told to stop; the port took no bytes"
+    assert watched(port, said, "!") == "told to stop; the port took no bytes"
     os.close(hears)
     os.close(port)
 
