@@ -1,7 +1,7 @@
 """`mill experiment`: the paper's experiments on virtual rigs, recipes side by side."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from hashlib import sha256
 from importlib.metadata import version
@@ -177,9 +177,10 @@ def milling(
         donors()
         stamp["eyes"] = f"statistical {sha256(FILE.read_bytes()).hexdigest()}"
     arguments = study.trials_of(chosen, asked, planted, statistical, None if statistical else out)
+    words = [*(["--statistical"] if statistical else []), *(f"--fault {fault}" for fault in planted)]
     if out:
         out.mkdir(parents=True, exist_ok=True)
-    _study("milling", study.mill_one, arguments, study, chosen, workers, out, json_file, stamp=stamp)
+    _study("milling", study.mill_one, arguments, study, chosen, workers, out, json_file, stamp=stamp, asked=words)
 
 
 def _study(
@@ -193,6 +194,7 @@ def _study(
     json_file: Path | None,
     *,
     stamp: Mapping[str, str] | None = None,
+    asked: Sequence[str] = (),
     beside: Callable[[], dict[str, float]] | None = None,
 ) -> None:
     """Run every trial of a study, and tell its figures by recipe, beside the paper's.
@@ -207,6 +209,7 @@ def _study(
         out: receives the trials and the report; None keeps nothing.
         json_file: receives the figures.
         stamp: what else makes the figures.
+        asked: options that the figures are of, as they are written.
         beside: measures more figures of the default recipe, once the trials are done.
     """
     from cli.reports.study_report import write_study_report
@@ -238,6 +241,7 @@ def _study(
             seed=chosen[0].seed,
             **recipes,
             recipes=list(recipes),
+            asked=list(asked),
             published=published,
             trials=list(trials.values()),
         )

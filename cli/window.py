@@ -173,13 +173,14 @@ def write_report(folder: Path) -> Path:
 def _guarded(motion: "MotionController", bench: Rig) -> "contextlib.AbstractContextManager[Guard | None]":
     """A supervisor process for the motion, where one can reach its wire.
 
-    Between two signs of life the loop may wait for both wires in turn, each as long as the rig file allows.
+    Between two signs of life the loop may wait for both wires in turn, as long as the rig file allows: three reports of
+    the motion controller, and the drive.
     """
     from milling.guard import SILENCE_S, Guard
 
     path = motion.stop_path
-    patience = (bench.config.motion.model_dump().get("reply_s"), bench.config.spindle.model_dump().get("heartbeat_s"))
-    silence_s = sum(known for known in patience if known is not None) or SILENCE_S
+    reply_s = bench.config.motion.model_dump().get("reply_s", 0.0)
+    silence_s = max(SILENCE_S, 3 * reply_s + bench.config.spindle.model_dump().get("heartbeat_s", 0.0))
     return contextlib.nullcontext() if path is None else Guard(path, bench.clock, silence_s=silence_s)
 
 

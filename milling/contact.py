@@ -42,6 +42,8 @@ class ContactFinder:
     floor_z_mm: float
     """No tip height below this is ever asked for."""
     _torques: list[float] = field(default_factory=list)
+    _lowest_z_mm: float = float("-inf")
+    _in_kerf: bool = False
     _error_mm: float | None = None
 
     def find_all(
@@ -52,6 +54,7 @@ class ContactFinder:
         told: Callable[[int, float], None],
         *,
         across_z_mm: float | None = None,
+        lowest_z_mm: list[float] | None = None,
     ) -> list[float]:
         """Heights of the tip at contact, (n,) mm in {R}.
 
@@ -61,6 +64,7 @@ class ContactFinder:
             predicted_z_mm: where contact should be.
             told: each point's index and height, as it is found.
             across_z_mm: height on the way from place to place; close above the last one, where left out.
+            lowest_z_mm: heights at which to give up; the floor, where left out.
 
         Raises:
             PlanError: no bone down to the floor, or bone above the start.
@@ -73,8 +77,9 @@ class ContactFinder:
                 if self._error_mm is not None:
                     start = min(start, predicted_z_mm[index] + self._error_mm + NEAR_MM)
                 clear = max(start, found[-1] if found else start) + BETWEEN_MM
-                if across_z_mm is not None:
-                    clear = max(clear, across_z_mm)
+                self._in_kerf = across_z_mm is not None
+                clear = clear if across_z_mm is None else max(clear, across_z_mm)
+                self._lowest_z_mm = self.floor_z_mm if lowest_z_mm is None else lowest_z_mm[index]
                 height = self._find(index, (x, y), start, clear, start_z_mm[index])
                 self._error_mm = height - predicted_z_mm[index]
                 found.append(height)
@@ -90,6 +95,9 @@ class ContactFinder:
             self.hands.go((position[0], position[1], clear), TRAVEL_FEED_MM_S)
         self._torques.clear()
         self.hands.go((x, y, clear), TRAVEL_FEED_MM_S)
+        if self._in_kerf:
+            # Cut before: air. Felt over so long a way, the least drift of its torque would count as bone.
+            self.hands.go((x, y, start + BETWEEN_MM), APPROACH_FEED_MM_S)
         self._follow_air()
         while True:
             if not self._loaded((x, y, start), APPROACH_FEED_MM_S):
@@ -99,8 +107,8 @@ class ContactFinder:
             # Bone was met at the very start: this place is higher than thought.
             if start >= highest:
                 raise PlanError(
-                    f"point {index + 1}: bone at or above z = {start:.3f} mm, where the fitted surface promises air "
-                    f"(safety offset included); calibrate again"
+                    f"point {index + 1}: bone at or above z = {start:.3f} mm, where there should be air; "
+                    "look what lies there, and calibrate again"
                 )
             start = min(start + NEAR_MM, highest)
             self.hands.go((x, y, start + BETWEEN_MM), TRAVEL_FEED_MM_S)
@@ -110,10 +118,10 @@ class ContactFinder:
         z, touched_at = start, None
         while True:
             z -= STEP_MM
-            if z < self.floor_z_mm:
+            if z < max(self.floor_z_mm, self._lowest_z_mm):
                 raise PlanError(
-                    f"point {index + 1}: no bone felt down to z = {self.floor_z_mm:.3f} mm, the lowest that the "
-                    "calibrated surface and the thickness prior permit; check that the drill turns and that it is bone"
+                    f"point {index + 1}: no bone felt down to z = {z + STEP_MM:.3f} mm, the lowest that is "
+                    "permitted there; check that the drill turns and that it is bone"
                 )
             if not self._loaded((x, y, z), FEED_MM_S):
                 touched_at = None

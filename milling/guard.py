@@ -15,7 +15,7 @@ from drivers.errors import DeviceError, DeviceTimeoutError
 from drivers.motion.interface import StopPath
 from milling import supervisor
 
-SILENCE_S = 0.35
+SILENCE_S = 0.55
 BEAT_EVERY_S = 0.01
 START_S = 5.0
 LEAVE_S = 2.0
@@ -37,7 +37,6 @@ class Guard:
         """
         self._clock = clock
         self._beat_at_s = float("-inf")
-        self._systemd = _systemd()
         script = json.dumps([(data.hex(), wait_s) for data, wait_s in path.script])
         words = [sys.executable, "-I", "-S", supervisor.__file__, str(path.fd), str(silence_s), script]
         hears, self._to = os.pipe()
@@ -49,9 +48,14 @@ class Guard:
             self._process = subprocess.Popen(
                 words, stdin=hears, stdout=says, pass_fds=(path.fd,), start_new_session=True
             )
+        except BaseException:
+            os.close(self._to)
+            os.close(self._from)
+            raise
         finally:
             os.close(hears)
             os.close(says)
+        self._systemd = _systemd()
         if not select.select([self._from], [], [], START_S)[0] or not os.read(self._from, 64):
             self.close()
             raise DeviceTimeoutError(f"supervisor: did not start within {START_S:g} s; is the machine overloaded?")
@@ -111,9 +115,8 @@ class Guard:
     def _say(self, word: bytes) -> None:
         try:
             os.write(self._to, word + b"\n")
-        except BlockingIOError:
-            # It has not read for thousands of beats; if it lives it will find that none is missing.
-            return
+        except BlockingIOError as error:
+            raise DeviceError("supervisor: its process has not read for half a minute; end what stopped it") from error
         except OSError as error:
             raise DeviceError(f"supervisor: {self._last_words()}") from error
         if select.select([self._from], [], [], 0.0)[0]:

@@ -72,8 +72,7 @@ class Hands:
 
     def _live(self) -> None:
         """A sign of life to the supervisor; long waits between them go into the record, for whoever wonders."""
-        if self.guard is not None:
-            self.guard.beat()
+        self._tell_guard(lambda guard: guard.beat())
         now_s = self.clock.now_s()
         if now_s - self._beat_at_s > LATE_S:
             self.recorder.event("late", silent_s=now_s - self._beat_at_s)
@@ -166,8 +165,17 @@ class Hands:
         self._arm(False)
 
     def _arm(self, watched: bool) -> None:
-        if self.guard is not None:
-            (self.guard.arm if watched else self.guard.disarm)()
+        self._tell_guard(lambda guard: guard.arm() if watched else guard.disarm())
+
+    def _tell_guard(self, say: Callable[[Guard], None]) -> None:
+        """A supervisor that is gone is an error once; what makes the machine safe must not stumble over it again."""
+        guard = self.guard
+        if guard is not None:
+            try:
+                say(guard)
+            except DeviceError:
+                self.guard = None
+                raise
 
     def lift(self, height_mm: float) -> None:
         """Drop what is queued, then straight up.
@@ -232,7 +240,6 @@ class Hands:
     def kill(self) -> None:
         """Spindle off and controller reset together; each is tried whatever the other does."""
         self.speed_rpm = 0.0
-        # What follows stops everything itself; a supervisor that has ended is of no interest any more.
         with contextlib.suppress(DeviceError):
             self.out_of_the_bone()
         for name, stop in (("spindle", self.spindle.stop), ("motion", self.motion.halt)):

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from itertools import pairwise
 from math import ceil, floor
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -68,6 +68,9 @@ class Permits(Witness, Protocol):
 
     def felt(self, index: int, *, ratio: float | None, above_idle: bool) -> None:
         """The load of a pass that took a bite."""
+
+    def snapshot(self, index: int) -> dict[str, Any]:
+        """What a later run must know of the point, beside its depth."""
 
     def cut_mm(self, index: int) -> float:
         """The depth reached and confirmed."""
@@ -271,8 +274,12 @@ class Laps:
             self._meter.report(nearest % self._n, report.torque_fraction, offset=where - nearest, speed=speed)
 
     def _leave(self, index: int, time_s: float) -> None:
-        deeper = float(self._depth[index]) > self.permits.cut_mm(index)
-        self.permits.passed(index, depth_mm=float(self._depth[index]), now_s=time_s)
+        depth_mm = float(self._depth[index])
+        deeper = depth_mm > self.permits.cut_mm(index)
+        if deeper:
+            # First of all, for the journal that a later run goes on from: this cannot be taken back.
+            self._hands.recorder.event("cut", point=index + 1, depth_mm=depth_mm)
+        self.permits.passed(index, depth_mm=depth_mm, now_s=time_s)
         if self._meter is None:
             return
         feeling = self._meter.leave(
@@ -281,15 +288,9 @@ class Laps:
         if feeling is not None:
             self.permits.felt(index, ratio=feeling.ratio, above_idle=feeling.above_idle)
         if deeper:
-            # The journal that a later run may go on from: what was cut and what it felt like, point by point.
-            self._hands.recorder.event(
-                "pass",
-                point=index + 1,
-                depth_mm=float(self._depth[index]),
-                ratio=None if feeling is None else feeling.ratio,
-                above_idle=feeling is None or feeling.above_idle,
-                sound=None if feeling is None else feeling.sound,
-            )
+            ratio, sound = (None, None) if feeling is None else (feeling.ratio, feeling.sound)
+            known = self.permits.snapshot(index)
+            self._hands.recorder.event("pass", point=index + 1, ratio=ratio, sound=sound, known=known)
 
     def _log(self, report: SpindleStatus) -> None:
         """Load and place a few times a second, for the report."""

@@ -83,13 +83,16 @@ def run(
         stop_requested: looked at before every segment and in every wait; True ends the run within a second.
         standing: an earlier run's window, to go on with.
     """
-    return _Run(rig, calibration, finders, job, recorder, progress, stop_requested, standing).run()
+    try:
+        return _Run(rig, calibration, finders, job, recorder, progress, stop_requested, standing).run()
+    finally:
+        gc.unfreeze()
 
 
 def _settle_memory() -> None:
     """A full garbage collection looks at all that was ever loaded, for a tenth of a second, and that in the bone.
 
-    What is there by now stays for the rest of the process and is never looked at again.
+    What is there by now is not looked at again until the run is over.
     """
     gc.collect()
     gc.freeze()
@@ -121,6 +124,8 @@ class _Run:
     progress: Callable[[Progress], None]
     stop_requested: Callable[[], bool]
     standing: Standing | None = None
+    recalled: Ledger | None = None
+    """The permits of an earlier run."""
     latch: Latch = field(default_factory=Latch)
     ring: _Ring | None = None
     milling_from_s: float | None = None
@@ -227,6 +232,8 @@ class _Run:
         shift_px = require_unmoved(standing, now, ring_px)
         self._tell("recognized", f"the skull lies where it lay, to {shift_px:.1f} px")
         standing.trajectory.tell(self.recorder)
+        # Here, where the drill is parked: it takes longer than the drive waits for a sign of life.
+        self.recalled = standing.ledger(self.job)
         return standing.reference, standing.trajectory
 
     def _guarded(self, trajectory: Trajectory, reference: Image, idle: Idle, floor_mm: float) -> _Ring:
@@ -246,16 +253,20 @@ class _Run:
         self._tell("contact")
         self.hands.into_the_bone()
         finder = ContactFinder(self.hands, idle, floor_mm)
-        if self.standing is None:
+        if self.standing is None or self.recalled is None:
             found = finder.find_all(
                 [(float(x), float(y)) for x, y in tip[:, :2]], [float(z) for z in tip[:, 2]], predicted, told
             )
         else:
-            ledger = self.standing.ledger(job)
+            ledger = self.recalled
             found = touch_again(self.standing, ledger, finder, told_again)
-            for index, height in enumerate(found):
-                self.recorder.event("contact", point=index + 1, z_mm=height, predicted_mm=predicted[index])
+            self.hands.lift(RETRACT_MM)
+            self.hands.out_of_the_bone()
             self.standing.tell(self.recorder)
+            # What is deeper than the old journal says, and last of all the contacts, which make this record whole.
+            for index, height in enumerate(found):
+                self.recorder.event("cut", point=index + 1, depth_mm=ledger.cut_mm(index))
+                self.recorder.event("contact", point=index + 1, z_mm=height, predicted_mm=predicted[index])
         top = np.asarray(found)
         meter = LoadMeter(
             found,
@@ -336,6 +347,7 @@ class _Run:
             if after is not before:
                 kind = "reopened" if after is PointState.OPEN else after.value
                 self.recorder.event(kind, point=index + 1, why=point.why, depth_mm=point.cut_mm)
+        self.recorder.event("looked", known=[ledger.snapshot(index) for index in range(len(ledger.points))])
 
     def _idle_again(self, before: Idle) -> Idle:
         """The torque of the air now: a drive's zero drifts, and one that does not come back to it feels no bone."""

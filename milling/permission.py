@@ -16,6 +16,9 @@ through with all probability; it is latched then.
 No clock, no device: every rule here can be read and tested by itself.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 from drivers.errors import SafetyStop
 from milling.limits import Limits
 from milling.point import Grant, Point, PointState
@@ -98,10 +101,24 @@ class Ledger:
             raise SafetyStop(f"point {index + 1}: {error}") from None
         self._stale = True
 
-    def recall(self, index: int, *, depth_mm: float, now_s: float) -> None:
-        """An earlier run left the point at ``depth_mm``, which nobody can take back."""
-        self._points[index].granted_mm = max(depth_mm, self._points[index].cut_mm)
-        self.passed(index, depth_mm=depth_mm, now_s=now_s)
+    def snapshot(self, index: int) -> dict[str, Any]:
+        """What a later run must know of the point, beside its depth; as JSON."""
+        return self._points[index].snapshot() | self.thickness.pictures(index)
+
+    def restore(self, index: int, kept: Mapping[str, Any]) -> None:
+        """What an earlier run knew of the point."""
+        self._points[index].restore(kept)
+        self.thickness.recall_pictures(index, kept)
+        self._stale = True
+
+    def recall(self, index: int, *, depth_mm: float, ratio: float | None = None) -> None:
+        """A pass of an earlier run left the point at ``depth_mm``, which nobody can take back, with this load."""
+        point = self._points[index]
+        point.unheard_mm += max(0.0, depth_mm - point.cut_mm)
+        point.cut_mm = max(point.cut_mm, depth_mm)
+        if ratio is not None:
+            self.thickness.weighed(index, point.cut_mm, ratio)
+        self._stale = True
 
     def void(self, index: int) -> None:
         """The visit ended before the tip reached the point: its permission is gone, its depth what it was."""

@@ -4,13 +4,20 @@ Standard library only, no clock, no device: every rule here can be read and test
 """
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
 from drivers.errors import SafetyStop
 from milling.limits import Limits
 
 ROUNDING_MM = 1e-6
+KEPT = (
+    "upper", "completion", "load_ratio", "load_above_idle", "unheard_mm", "said_mm", "incredible", "frames", "lost_mm",
+    "agreed", "why", "resting", "looks", "looked_at_mm",
+)  # fmt: skip
+"""Of a point's fields, those that outlive a run."""
 
 
 class PointState(StrEnum):
@@ -67,6 +74,16 @@ class Point:
     looks: int = 0
     looked_at_mm: float = -1.0
     verdicts: Counter[str] = field(default_factory=Counter)
+
+    def snapshot(self) -> dict[str, Any]:
+        """What a later run must know of it, beside its depth; as JSON."""
+        return {name: getattr(self, name) for name in KEPT} | {"state": self.state.value}
+
+    def restore(self, kept: Mapping[str, Any]) -> None:
+        """What an earlier run knew."""
+        for name in KEPT:
+            setattr(self, name, kept[name])
+        self.state = PointState(kept["state"])
 
     def touched(self) -> None:
         """Its contact is found: depth counts from here, and the touch is the first load above idle."""

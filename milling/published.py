@@ -4,6 +4,8 @@ For comparison on the virtual bench only: no contact, no load, no verify pass. T
 is all that stands between a wrong picture and the membrane.
 """
 
+from typing import Any
+
 from milling.point import Grant
 
 _DONE = 0.95
@@ -50,6 +52,10 @@ class Unguarded:
 
     def felt(self, index: int, *, ratio: float | None, above_idle: bool) -> None:
         """Published systems do not feel."""
+
+    def snapshot(self, index: int) -> dict[str, Any]:
+        """Nothing: such a window is not resumed."""
+        return {}
 
     def cut_mm(self, index: int) -> float:
         """Depth below the start."""

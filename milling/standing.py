@@ -16,7 +16,6 @@ from drivers.camera.interface import Image
 from drivers.errors import ConfigError, PlanError, SafetyStop
 from drivers.recorder import Recorder
 from milling.contact import ContactFinder
-from milling.hands import LIFT_MM
 from milling.job import Job
 from milling.load import LoadMeter
 from milling.permission import Ledger
@@ -34,8 +33,9 @@ SURE_MM, SURE = 0.03, 0.05
 LEAST_TOUCHED, MOST_TOUCHED = 3, 6
 ABOVE_MM = 0.08
 """Over the floor, where touching it begins."""
-_LONG_AGO_S = 1e9
-_EVIDENCE = ("pass", "lap", "done")
+ACROSS_MM = 3.0
+"""Over the highest start, on the way from one place to the next."""
+_EVIDENCE = ("cut", "pass", "looked")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,22 +51,23 @@ class Standing:
     """Events of the journal, oldest first."""
 
     def ledger(self, job: Job) -> Ledger:
-        """All permits as they stood."""
+        """All permits as they stood. It takes a while: not with the drill in the bone."""
         ledger = Ledger(job.n_points, job.limits, pitch_mm=self.trajectory.length_mm / job.n_points)
         for index in range(job.n_points):
             ledger.touched(index)
+        depth_mm = [0.0] * job.n_points
         for event in self.evidence:
-            told_s = event["t"] - _LONG_AGO_S
-            if event["kind"] == "pass":
-                ratio, index = event["ratio"], event["point"] - 1
-                ledger.recall(index, depth_mm=event["depth_mm"], now_s=told_s)
-                ledger.felt(index, ratio=ratio, above_idle=event["above_idle"])
-            elif event["kind"] == "done":
-                ledger.points[event["point"] - 1].finish(event["why"])
-            else:
-                for index, (seen, upper) in enumerate(zip(event["completion"], event["upper"], strict=True)):
-                    if upper is not None:
-                        ledger.seen(index, completion=seen, upper=upper, exposed_at_s=told_s)
+            match event["kind"]:
+                case "cut":
+                    depth_mm[event["point"] - 1] = event["depth_mm"]
+                    ledger.recall(event["point"] - 1, depth_mm=event["depth_mm"])
+                case "pass":
+                    index = event["point"] - 1
+                    ledger.recall(index, depth_mm=depth_mm[index], ratio=event["ratio"])
+                    ledger.restore(index, event["known"])
+                case "looked":
+                    for index, known in enumerate(event["known"]):
+                        ledger.restore(index, known)
         return ledger
 
     def recall_loads(self, meter: LoadMeter) -> None:
@@ -95,12 +96,14 @@ def standing_of(run: Run, job: Job) -> Standing:
     told = list(run.of_kind("trajectory"))
     contacts = {event["point"]: event["z_mm"] for event in run.of_kind("contact")}
     if not told or len(contacts) < job.n_points:
-        raise ConfigError(no + "it ended before all contacts were found, and nothing is milled; start a new run")
+        earlier = run.header.get("resumes")
+        step = f"resume {earlier} again" if earlier else "nothing is milled; start a new run"
+        raise ConfigError(no + f"it ended before all contacts were known; {step}")
     reference = _reference(run)
     if reference is None:
         raise ConfigError(no + "the picture of the unmilled skull is not in the record")
-    if not any(event["kind"] == "pass" for event in run.events):
-        raise ConfigError(no + "no pass is in its journal; start a new run")
+    if not any(event["kind"] == "cut" for event in run.events):
+        raise ConfigError(no + "no cut is in its journal; start a new run")
     ring = {key: np.array(told[-1][key]) for key in ("center_mm", "fit_mm", "normals", "sigma_mm", "ball_mm", "tip_mm")}
     trajectory = Trajectory(
         theta_rad=2 * pi * np.arange(1, job.n_points + 1) / job.n_points,
@@ -157,8 +160,11 @@ def touch_again(
 ) -> list[float]:
     """Contact heights (n,) in today's coordinates, from feeling the kerf's floor at a few points.
 
+    A floor that is felt higher than the journal says lifts them. One that is felt lower may be a pass that the journal
+    lost: then all points count as cut so much deeper.
+
     Raises:
-        PlanError: too few points have bone below for certain.
+        PlanError: too few points have bone below for certain, or bone is met where the kerf should be, or none at all.
         SafetyStop: the floor is not where the journal says.
     """
     chosen = _surely_bone(ledger)
@@ -169,20 +175,30 @@ def touch_again(
         )
     floor = [standing.top_z_mm[index] - ledger.cut_mm(index) for index in chosen]
     places = [(float(x), float(y)) for x, y in standing.trajectory.tip_mm[chosen, :2]]
-    starts = [z + ABOVE_MM for z in floor]
-    # Between two places of the kerf lies bone.
-    across = max(standing.top_z_mm) + LIFT_MM
-    felt = finder.find_all(places, starts, floor, lambda at, z: told(chosen[at], z), across_z_mm=across)
-    off = [z - expected for z, expected in zip(felt, floor, strict=True)]
+    off: list[float] = []
+
+    def judge(at: int, z: float) -> None:
+        off.append(z - floor[at])
+        if abs(off[at]) > FLOOR_MM:
+            raise SafetyStop(
+                f"point {chosen[at] + 1}: the kerf's floor is felt {1e3 * off[at]:+.0f} um off the journal, allowed "
+                f"{1e3 * FLOOR_MM:.0f} um; this window must be finished by hand"
+            )
+        told(chosen[at], z)
+
+    finder.find_all(
+        places,
+        [z + ABOVE_MM for z in floor],
+        floor,
+        judge,
+        # Between two places of the kerf lies bone, and the flap stands higher than its rim.
+        across_z_mm=float(standing.trajectory.tip_mm[:, 2].max()) + ACROSS_MM,
+        lowest_z_mm=[z - FLOOR_MM for z in floor],
+    )
     shift = float(np.median(off))
-    worst = max(off, key=abs)
-    if abs(worst) > FLOOR_MM:
-        at = chosen[off.index(worst)] + 1
-        raise SafetyStop(
-            f"point {at}: the kerf's floor is felt {1e3 * worst:+.0f} um off the journal, allowed "
-            f"{1e3 * FLOOR_MM:.0f} um; this window must be finished by hand"
-        )
-    return [z + shift for z in standing.top_z_mm]
+    for index in range(len(standing.top_z_mm)):
+        ledger.recall(index, depth_mm=ledger.cut_mm(index) + max(0.0, -shift))
+    return [z + max(0.0, shift) for z in standing.top_z_mm]
 
 
 def _surely_bone(ledger: Ledger) -> list[int]:

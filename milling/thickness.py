@@ -13,9 +13,10 @@ none may ever weigh more than its floor lets it: where two contradict each other
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import hypot
 from statistics import median
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -119,6 +120,16 @@ class Thickness:
             self._seen[index].clear()
             self._bone_seen[index] = None
             self._below = None
+
+    def pictures(self, index: int) -> dict[str, Any]:
+        """What was seen of the point, for a later run; as JSON."""
+        return {"seen": list(self._seen[index]), "bone_seen": self._bone_seen[index]}
+
+    def recall_pictures(self, index: int, kept: Mapping[str, Any]) -> None:
+        """What an earlier run saw of the point."""
+        self._seen[index] = deque(((c, depth) for c, depth in kept["seen"]), maxlen=PICTURES)
+        self._bone_seen[index] = None if kept["bone_seen"] is None else (kept["bone_seen"][0], kept["bone_seen"][1])
+        self._below = None
 
     def through(self, index: int, depth_mm: float) -> float:
         """Probability that the ball, at ``depth_mm`` below contact, has come through: P(T < depth)."""

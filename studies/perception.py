@@ -48,7 +48,7 @@ class Readings:
 
     def condensed(self) -> npt.NDArray[np.float32]:
         """(m, 4): at most ``KEPT`` readings of each point in each bin of excess, spread over those there were."""
-        rows = np.concatenate(self.rows)
+        rows = np.concatenate([np.zeros((0, 4)), *self.rows])
         rows = rows[rows[:, 1] > LOWEST_MM]
         cell = rows[:, 0] * 1000 + np.floor((rows[:, 1] - LOWEST_MM) / BIN_MM)
         kept = []
@@ -109,7 +109,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("folder", type=Path, help="what `mill experiment milling --out` wrote")
     parser.add_argument("--out", type=Path, default=FILE)
     given = parser.parse_args(words)
-    files = sorted(given.folder.glob("*.readings.npy"))
+    files = [file for file in sorted(given.folder.glob("*.readings.npy")) if len(np.load(file))]
     if not files:
         raise SystemExit(f"{given.folder}: no readings; make some with `mill experiment milling --out {given.folder}`")
     runs = {file.name.removesuffix(".readings.npy"): np.load(file) for file in files}

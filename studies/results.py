@@ -2,8 +2,8 @@
 
     python -m studies.results --out docs/results.md run-0.json run-1.json ...
 
-where each JSON comes from ``mill run --emulate --seed N --json run-N.json``, from ``python -m studies.virtual_runs``
-or from ``mill experiment``.
+where each JSON comes from ``mill run --emulate --seed N --json run-N.json``, from ``python -m studies.virtual_runs``,
+from ``mill experiment`` or from ``python -m benchmarks.stop_latency``.
 """
 
 import argparse
@@ -22,7 +22,8 @@ CHOSEN_ON = "6, 10, 16 to 57 and 100 to 119"
 def page(manifest: dict[str, dict[str, Any]], results: Sequence[dict[str, Any]]) -> str:
     """The page, as Markdown."""
     experiments = [result for result in results if result["command"].startswith("experiment")]
-    runs = [result for result in results if result not in experiments]
+    latencies = [result for result in results if result["command"] == "stop latency"]
+    runs = [result for result in results if result not in experiments and result not in latencies]
     lines = [
         "# Results",
         "",
@@ -40,6 +41,8 @@ def page(manifest: dict[str, dict[str, Any]], results: Sequence[dict[str, Any]])
         lines.append("")
     for experiment in experiments:
         lines += _experiment(experiment)
+    for latency in latencies:
+        lines += _latency(latency)
     lines += [
         f"The figures of `milling/limits.py` and `milling/thickness.py` were chosen on seeds {CHOSEN_ON}:",
         "only others are a fair test.",
@@ -61,8 +64,10 @@ def _experiment(result: dict[str, Any]) -> list[str]:
     recipes = {name: result[name] for name in result["recipes"]}
     count = len({trial["seed"] for trial in result["trials"]})
     what = result["command"].removeprefix("experiment ")
-    option = "rigs" if what == "calibration" else "specimens-count"
+    option = {"calibration": "rigs", "milling": "trials"}.get(what, "specimens-count")
     others = " --paper-weights FILE" if what == "completion" and "paper" in recipes else ""
+    others += "".join(f" --policy {policy}" for policy in recipes) if what == "milling" else ""
+    others += "".join(f" {words}" for words in result.get("asked", ()))
     lines = [
         f"## Experiment: {what}",
         "",
@@ -71,6 +76,12 @@ def _experiment(result: dict[str, Any]) -> list[str]:
         "succeeded, with their 95 % interval over specimens. The last column is no simulation.",
         "",
     ]
+    if what == "milling":
+        lines += [
+            "Success is the paper's criterion: the flap can be lifted, and the membrane was never touched; a run that",
+            "holds is a failure. Times are of the windows that succeeded. Full pixels unless `--statistical` is said.",
+            "",
+        ]
     if what == "completion":
         lines += [
             "Ours runs in ONNX Runtime, fp32; the network of the paper's kind (ResNet-101, boxes and heat map of the",
@@ -81,6 +92,23 @@ def _experiment(result: dict[str, Any]) -> list[str]:
         lines += [f"**{table.title}**", "", f"| {' | '.join(table.headings)} |", "|---" * len(table.headings) + "|"]
         lines += [*(f"| {' | '.join(row)} |" for row in table.rows), ""]
     return lines
+
+
+def _latency(figures: dict[str, Any]) -> list[str]:
+    """From an alarm to the stop on the wire, beside a thread that shares its interpreter."""
+    alarms, hogs = int(figures["alarms"]), int(figures["hogs"])
+    lines = [
+        "## From an alarm to the stop bytes on the wire",
+        "",
+        f"`python -m benchmarks.stop_latency --alarms {alarms} --hogs {hogs} --json FILE`; {hogs} busy processes; ms.",
+        "",
+        "| | median | 99 % | worst |",
+        "|---|---|---|---|",
+    ]
+    for name, words in (("supervisor", "supervisor process"), ("shared_interpreter", "thread beside a busy one")):
+        values = (f"{figures[f'{name}_{label}_ms']:.1f}" for label in ("p50", "p99", "max"))
+        lines.append(f"| {words} | {' | '.join(values)} |")
+    return [*lines, ""]
 
 
 def _table(runs: Sequence[dict[str, Any]]) -> list[str]:

@@ -56,7 +56,9 @@ class NumberEyes:
         self._bench = bench
         self._eyes = draw_eyes(bench.specimen.rig)
         self._rng = np.random.default_rng([seed, 31337])
-        self._donor = donors[int(self._rng.integers(len(donors)))]
+        self.donor = int(self._rng.integers(len(donors)))
+        """Number of the run that lends its readings."""
+        self._donor = donors[self.donor]
         self._turned = float(self._rng.random())
         skull = bench.machine.skull
         self._marks = [

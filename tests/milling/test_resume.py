@@ -1,6 +1,7 @@
 """A window that one run began and another one ends, on the virtual clock with eyes that are told the truth."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from milling.job import Job
 from milling.loop import Progress, RunResult
 from milling.point import PointState
 from milling.record import Run, RunRecorder, read_run
-from milling.standing import MOVED_PX, require_unmoved, standing_of
+from milling.standing import MOVED_PX, require_unmoved, standing_of, touch_again
 
 JOB = Job(n_points=24, thickness_low_mm=0.1, thickness_high_mm=0.3)
 STOPPED_AFTER_LAPS = 6
@@ -79,9 +80,11 @@ def test_a_window_is_ended_by_a_second_run(halved: tuple[VirtualRig, Path, RunRe
     assert (depths[-1] >= np.array([point["depth_mm"] for point in before.points]) - 1e-6).all()
     touched = [event["detail"] for event in run.of_kind("stage") if "floor under point" in event.get("detail", "")]
     assert len(touched) >= 3
-    # The second record is whole by itself: what it took over is in it.
-    again = standing_of(_unfinished(run.folder, tmp_path / "third"), JOB)
-    assert len(again.evidence) > len(standing.evidence)
+    # The second record is whole by itself: with nothing but it, every point stands where it ended.
+    again = standing_of(_unfinished(run.folder, tmp_path / "third"), JOB).ledger(JOB)
+    assert [again.cut_mm(i) for i in range(JOB.n_points)] == pytest.approx(
+        [point["depth_mm"] for point in result.points], abs=1e-6
+    )
 
 
 def _unfinished(folder: Path, to: Path) -> Run:
@@ -89,31 +92,65 @@ def _unfinished(folder: Path, to: Path) -> Run:
     return read_run(to)
 
 
-def test_a_floor_that_is_elsewhere_is_not_cut(tmp_path: Path) -> None:
-    """A journal that says 60 um less than was cut, or a tip that stands 60 um too high."""
+@pytest.fixture(scope="module")
+def half_cut(tmp_path_factory: pytest.TempPathFactory) -> tuple[VirtualRig, Path]:
+    """A window that nobody has gone on with."""
+    rig, folder, stop = virtual_rig(THIN), tmp_path_factory.mktemp("half") / "first", Stop(STOPPED_AFTER_LAPS)
+    rig.run(folder, JOB, progress=stop.heard, stop_requested=lambda: stop.asked)
+    return rig, folder
 
-    def shallower(events: list[dict]) -> list[dict]:
+
+@pytest.mark.parametrize(("off_mm", "says"), [(-0.06, "off the journal|should be air"), (0.06, "no bone felt down to")])
+def test_a_floor_that_is_elsewhere_is_not_cut(
+    half_cut: tuple[VirtualRig, Path], tmp_path: Path, off_mm: float, says: str
+) -> None:
+    """A tip that stands 60 um too high or too low against the journal: both ways it goes no deeper than it may feel."""
+    rig, folder = half_cut
+
+    def moved(events: list[dict]) -> list[dict]:
         for event in events:
             if event["kind"] == "contact":
-                event["z_mm"] -= 0.06
+                event["z_mm"] += off_mm
         return events
 
-    rig, stop = virtual_rig(THIN), Stop(STOPPED_AFTER_LAPS)
-    rig.run(tmp_path / "first", JOB, progress=stop.heard, stop_requested=lambda: stop.asked)
     depth = rig.bench.machine.truth().depth_mm.copy()
-    wrong = read_run(copied(tmp_path / "first", tmp_path / "wrong", shallower))
+    wrong = read_run(copied(folder, tmp_path / "wrong", moved))
     result = rig.run(tmp_path / "second", JOB, standing=standing_of(wrong, JOB))
-    rig.close()
     assert result.outcome in {"held", "aborted"}
-    assert "off the journal" in result.reason or "promises air" in result.reason
-    assert rig.bench.machine.truth().depth_mm == pytest.approx(depth, abs=0.03)
+    assert re.search(says, result.reason), result.reason
+    assert (rig.bench.machine.truth().depth_mm - depth).max() <= 0.03
+
+
+def test_a_floor_that_is_felt_a_little_lower_counts_as_cut(halved: tuple[VirtualRig, Path, RunResult]) -> None:
+    _, folder, _ = halved
+    standing = standing_of(read_run(folder), JOB)
+    for off_mm in (-0.02, 0.02):
+        ledger = standing.ledger(JOB)
+        before = [ledger.cut_mm(index) for index in range(JOB.n_points)]
+        tops = touch_again(standing, ledger, FeelsAt(off_mm), lambda index, z: None)
+        deeper = np.array([ledger.cut_mm(index) for index in range(JOB.n_points)]) - before
+        assert deeper == pytest.approx(np.full(JOB.n_points, max(0.0, -off_mm)))
+        assert np.array(tops) - standing.top_z_mm == pytest.approx(np.full(JOB.n_points, max(0.0, off_mm)))
+
+
+class FeelsAt:
+    """A finder that feels every floor off by so much."""
+
+    def __init__(self, off_mm: float) -> None:
+        self._off_mm = off_mm
+
+    def find_all(self, xy_mm, start_z_mm, predicted_z_mm, told, *, across_z_mm, lowest_z_mm):
+        found = [z + self._off_mm for z in predicted_z_mm]
+        for index, z in enumerate(found):
+            told(index, z)
+        return found
 
 
 @pytest.mark.parametrize(
     ("change", "job", "says"),
     [
-        (lambda events: [e for e in events if e["kind"] != "contact"], JOB, "before all contacts were found"),
-        (lambda events: [e for e in events if e["kind"] != "pass"], JOB, "no pass is in its journal"),
+        (lambda events: [e for e in events if e["kind"] != "contact"], JOB, "before all contacts were known"),
+        (lambda events: [e for e in events if e["kind"] != "cut"], JOB, "no cut is in its journal"),
         (lambda events: [e for e in events if e["kind"] != "frame"], JOB, "picture of the unmilled skull"),
         (lambda events: events, Job(n_points=24, policy="paper"), "felt nothing"),
     ],

@@ -198,7 +198,7 @@ def test_a_guard_that_is_closed_leaves_the_machine_alone(wire) -> None:
     assert written(far) == b""
 
 
-def test_a_guard_stops_when_asked_from_another_thread_and_says_so_ever_after(wire, guard: Guard) -> None:
+def test_a_guard_stops_when_asked_from_another_thread_and_says_so(wire, guard: Guard) -> None:
     _, far = wire
     guard.arm()
     thread = threading.Thread(target=guard.stop)

@@ -45,3 +45,29 @@ def test_an_experiment_tells_its_command_its_count_and_its_intervals() -> None:
 
 def test_seeds_are_named_by_ranges() -> None:
     assert seeds_of("0-3,7") == [0, 1, 2, 3, 7]
+
+
+def test_mice_are_told_with_what_was_asked_of_them() -> None:
+    result = {
+        "command": "experiment milling",
+        "seed": 0,
+        "recipes": ["default", "paper"],
+        "asked": ["--statistical", "--fault vision.low=0.7:all"],
+        "default": {"trials": 2, "success_rate": 0.5, "wilson_95": [0.1, 0.9]},
+        "paper": {"trials": 2, "success_rate": 0.0, "wilson_95": [0.0, 0.7]},
+        "published": {"success_rate": 6 / 7},
+        "trials": [{"seed": 0}, {"seed": 1}],
+    }
+    text = page({}, [result])
+    asked = "--trials 2 --seed 0 --policy default --policy paper --statistical --fault vision.low=0.7:all --out"
+    assert f"mill experiment milling {asked}" in text
+    assert "| success_rate | 0.5 | 0 | 0.8571 |" in text
+    assert "wilson_95" not in text
+
+
+def test_the_stop_is_told_beside_its_reference() -> None:
+    labels = {f"{name}_{label}_ms": value for name, value in (("supervisor", 2.0), ("shared_interpreter", 90.0))
+              for label in ("p50", "p99", "max")}  # fmt: skip
+    text = page({}, [{"command": "stop latency", "alarms": 2000.0, "hogs": 6.0, **labels}])
+    assert "python -m benchmarks.stop_latency --alarms 2000 --hogs 6" in text
+    assert "| supervisor process | 2.0 | 2.0 | 2.0 |" in text

@@ -33,9 +33,9 @@ POLL_S = 0.08
 """Together with the reply about 12 Hz, which an AVR bears while it plans."""
 MODAL_LINE = "G21G90G94"
 
-STOP_SCRIPT = ((protocol.HOLD, 0.2), (protocol.RESET, 0.5), (b"$J=G91G21Z1.5F900\n", 0.0))
-"""Hold; a reset at standstill, which drops the queue; 1.5 mm up at 15 mm/s. If it was not standing at the reset, its
-position is lost, and it locks itself and refuses to lift."""
+STOP_SCRIPT = ((protocol.HOLD, 0.2), (protocol.RESET, 0.5), (b"$J=G91G21Z1.5F900\n", 0.4))
+"""Hold; a reset at standstill, which drops the queue; 1.5 mm up at 15 mm/s, and the time that takes. If it was not
+standing at the reset, its position is lost, and it locks itself and refuses to lift."""
 
 _STATES = {
     "Run": MotionState.MOVING,

@@ -24,7 +24,7 @@ def record(folder: Path, **header: object) -> Path:
         ({}, [], "give --rig FILE"),
         ({"seed": 3}, ["--rig", "rig.toml"], "its virtual bench ended with it"),
         ({"job": None}, ["--rig", "rig.toml"], "key job: found None"),
-        ({}, ["--rig", "rig.toml"], "before all contacts were found, and nothing is milled"),
+        ({}, ["--rig", "rig.toml"], "before all contacts were known; nothing is milled"),
         ({"job": {**asdict(Job()), "policy": "paper"}}, ["--rig", "rig.toml"], "policy 'paper' felt nothing"),
     ],
 )
