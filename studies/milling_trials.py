@@ -129,7 +129,7 @@ def summary(trials: Mapping[str, Figures]) -> dict[str, Figures]:
         if times:
             figures["time_min_median"], figures["time_min_p95"] = (float(np.percentile(times, q)) for q in (50, 95))
             figures["time_min_mean"] = float(np.mean(times))
-        lenders = {trial["donor"] for trial in mine} - {None}
+        lenders = {trial.get("donor") for trial in mine} - {None}
         if lenders:
             # Mice that borrow from one donor are alike: with few of them the interval is narrower than is known.
             figures["donors"] = len(lenders)

@@ -25,9 +25,11 @@ def test_it_is_standard_library_only(module: ModuleType) -> None:
     imported |= {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
     assert imported <= {
         "collections",
+        "collections.abc",
         "dataclasses",
         "enum",
         "math",
+        "typing",
         "drivers.errors",
         "milling.limits",
         "milling.point",
