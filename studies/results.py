@@ -72,8 +72,8 @@ def _experiment(result: dict[str, Any]) -> list[str]:
         f"## Experiment: {what}",
         "",
         f"`mill {result['command']} --{option} {count} --seed {result['seed']}{others} --out DIR --json FILE`;",
-        "every recipe on the same virtual specimens and rigs, which no network has seen; figures of the trials that",
-        "succeeded, with their 95 % interval over specimens. The last column is no simulation.",
+        "every recipe on the same virtual specimens and rigs, which no network has seen; figures of all trials that",
+        "could be measured, with their 95 % interval over specimens. The last column is no simulation.",
         "",
     ]
     if what == "milling":
