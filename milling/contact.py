@@ -12,7 +12,7 @@ from statistics import fmean
 from drivers.errors import PlanError, SafetyStop
 from drivers.motion.interface import Vector
 from drivers.spindle.interface import SpindleStatus
-from milling.hands import Hands
+from milling.hands import TRAVEL_FEED_MM_S, Hands
 from milling.load import Idle
 
 STEP_MM = 0.01
@@ -20,12 +20,13 @@ FEED_MM_S = 0.4
 NEAR_MM = 0.045
 """Start above the predicted contact, once the surface's error is known."""
 SIGMAS = 4.0
-TRAVEL_FEED_MM_S = 15.0
 SETTLE_S = 0.5
 """After the run-up, until the drive's speed loop has come to rest."""
 BETWEEN_MM = 0.08
 """Lift before going to the next point."""
 APPROACH_FEED_MM_S = 2.0
+IDLE_AGAIN_S = 0.25
+MOST_IDLE_DRIFT = 0.05
 AIR_WEIGHT = 0.5
 AIR_STEP = 0.25
 """Sigmas that the torque of the air may change by from one point to the next. A drive's zero drifts by a tenth of that;
@@ -173,5 +174,21 @@ def measure_idle(hands: Hands, *, settle_s: float = SETTLE_S, duration_s: float 
     if idle.sigma > 0.1:
         raise SafetyStop(
             f"the idle torque varies by {idle.sigma:.3f} of rated torque, allowed 0.1: bone cannot be felt"
+        )
+    return idle
+
+
+def measure_idle_again(hands: Hands, before: Idle) -> Idle:
+    """The torque of the air now: a drive's zero drifts, and one that does not come back to it feels no bone.
+
+    Raises:
+        SafetyStop: it is too far from what it was.
+    """
+    idle = measure_idle(hands, settle_s=IDLE_AGAIN_S, duration_s=IDLE_AGAIN_S)
+    hands.recorder.event("idle", torque=idle.mean, sigma=idle.sigma)
+    if abs(idle.mean - before.mean) > MOST_IDLE_DRIFT:
+        raise SafetyStop(
+            f"the drill takes {idle.mean:.3f} of rated torque in the air, {before.mean:.3f} before, allowed is a "
+            f"change of {MOST_IDLE_DRIFT:g}: bone cannot be felt; look at drill and chuck"
         )
     return idle

@@ -17,6 +17,7 @@ LIFT_MM = 0.1
 """Up from the bone after a hold: dwelling on the membrane tears it."""
 RETRACT_MM = 1.5
 RETRACT_FEED_MM_S = 15.0
+TRAVEL_FEED_MM_S = 15.0
 _POLL_S = 0.02
 _BEAT_S = 0.005
 _SPEED_SHARE = 0.15
@@ -106,6 +107,20 @@ class Hands:
                 f"({target_mm} mm), allowed {READ_BACK_MM} mm"
             )
         return status
+
+    def go_high(self, target_mm: Vector, high_z_mm: float) -> None:
+        """Up first, then across, then down: the way may lead over the skull.
+
+        Raises:
+            SafetyStop, DeviceTimeoutError, Interrupted, DeviceError: as ``go``.
+        """
+        x, y, z = self.motion.status().position_mm
+        high = max(z, high_z_mm)
+        if high > z:
+            self.go((x, y, high), TRAVEL_FEED_MM_S)
+        self.go((target_mm[0], target_mm[1], high), TRAVEL_FEED_MM_S)
+        if target_mm[2] < high:
+            self.go(target_mm, TRAVEL_FEED_MM_S)
 
     def settle(self) -> MotionStatus:
         """Let the queue, which is short, run out.

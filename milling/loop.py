@@ -17,10 +17,9 @@ import numpy.typing as npt
 
 from drivers.camera.interface import Image
 from drivers.errors import CalibrationError, DetectionError, MillError, NotHomedError, PlanError, SafetyStop
-from drivers.motion.interface import Vector
 from drivers.recorder import Recorder
 from milling.conclusion import conclude
-from milling.contact import ContactFinder, measure_idle
+from milling.contact import ContactFinder, measure_idle, measure_idle_again
 from milling.equipment import Finders, Rig
 from milling.eyes import RingView, Watch
 from milling.hands import RETRACT_MM, Hands, Interrupted
@@ -45,14 +44,11 @@ __all__ = ["Finders", "Outcome", "Progress", "Rig", "RunResult", "run"]
 
 Floats = npt.NDArray[np.float64]
 
-TRAVEL_FEED_MM_S = 15.0
 CLEARANCE_MM = 3.0
 """Above the highest start while crossing the skull."""
 ASIDE_MM = 3.0
 """From the ring's edge to the drill while the ring is looked at: the shank leans away from the ring."""
 LOOK_FRAMES = 4
-IDLE_AGAIN_S = 0.25
-MOST_IDLE_DRIFT = 0.05
 MOST_IDLE_ROUNDS = 2
 """Laps and looks in a row in which no point got deeper."""
 
@@ -173,7 +169,7 @@ class _Run:
         verify_calibration(self.rig, self.calibration, self.finders, self.job, self.recorder)
         self._check_stop()
         self._tell("park")
-        self._go_high(self.rig.park_mm, self.rig.park_mm[2])
+        self.hands.go_high(self.rig.park_mm, self.rig.park_mm[2])
         self.hands.watch(0.2)
         if self.standing is None:
             reference, trajectory = survey(
@@ -216,7 +212,7 @@ class _Run:
         x, y, _ = trajectory.tip_mm[0]
         self._tell("approach")
         above = (float(x), float(y), float(trajectory.tip_mm[:, 2].max()) + CLEARANCE_MM)
-        self._go_high(above, above[2])
+        self.hands.go_high(above, above[2])
         self._tell("spindle", f"{self.job.spindle_rpm:.0f} rpm")
         self.hands.start_spindle(self.job.spindle_rpm)
         idle = measure_idle(self.hands)
@@ -335,9 +331,9 @@ class _Run:
         edge = float(center[0]) + self.job.radius_mm + ASIDE_MM - float(self.offset[0])
         z = self.rig.motion.status().position_mm[2]
         high = max(z, float(ring.trajectory.tip_mm[:, 2].max()) + CLEARANCE_MM)
-        self._go_high((edge, float(center[1]), high), high)
+        self.hands.go_high((edge, float(center[1]), high), high)
         if ring.meter is not None:
-            ring.meter.idle = self._idle_again(ring.meter.idle)
+            ring.meter.idle = measure_idle_again(self.hands, ring.meter.idle)
         for _ in range(LOOK_FRAMES):
             self.hands.beat()
             ring.watch.stare(1)
@@ -349,17 +345,6 @@ class _Run:
                 self.recorder.event(kind, point=index + 1, why=point.why, depth_mm=point.cut_mm)
         self.recorder.event("looked", known=[ledger.snapshot(index) for index in range(len(ledger.points))])
 
-    def _idle_again(self, before: Idle) -> Idle:
-        """The torque of the air now: a drive's zero drifts, and one that does not come back to it feels no bone."""
-        idle = measure_idle(self.hands, settle_s=IDLE_AGAIN_S, duration_s=IDLE_AGAIN_S)
-        self.recorder.event("idle", torque=idle.mean, sigma=idle.sigma)
-        if abs(idle.mean - before.mean) > MOST_IDLE_DRIFT:
-            raise SafetyStop(
-                f"the drill takes {idle.mean:.3f} of rated torque in the air, {before.mean:.3f} before, allowed is a "
-                f"change of {MOST_IDLE_DRIFT:g}: bone cannot be felt; look at drill and chuck"
-            )
-        return idle
-
     def _leave(self) -> None:
         self.hands.lift(RETRACT_MM)
         self.hands.out_of_the_bone()
@@ -367,19 +352,9 @@ class _Run:
         self.hands.stop_spindle()
         self._stop_watch()
         self.rig.motion.set_floor(None)
-        self._go_high(self.rig.park_mm, self.rig.park_mm[2])
+        self.hands.go_high(self.rig.park_mm, self.rig.park_mm[2])
 
     # Helpers.
-
-    def _go_high(self, target: Vector, high_z_mm: float) -> None:
-        """Up first, then across, then down: the way may lead over the skull."""
-        x, y, z = self.rig.motion.status().position_mm
-        high = max(z, high_z_mm)
-        if high > z:
-            self.hands.go((x, y, high), TRAVEL_FEED_MM_S)
-        self.hands.go((target[0], target[1], high), TRAVEL_FEED_MM_S)
-        if target[2] < high:
-            self.hands.go(target, TRAVEL_FEED_MM_S)
 
     def _check_stop(self) -> None:
         if self.stop_requested():

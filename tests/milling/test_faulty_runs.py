@@ -1,4 +1,4 @@
-"""Runs into planted faults: whatever fails, the tip goes no deeper, and the run ends with the reason.
+"""Runs into planted faults: whatever fails, the membrane stays whole, and the run ends with the reason.
 
 The eyes are told the truth (``true_eyes``): what is tested is the loop's answer to the fault and not a network's
 to the picture.
@@ -32,7 +32,7 @@ def long(*values: str) -> object:
         long("camera.slow=400ms@20s", "no fresh frame"),
         ("camera.skew=60ms@20s", "no fresh frame"),
         long("camera.black@20s", "same bytes twice"),
-        ("serial.stall@20s", "motion|in-process"),
+        ("serial.stall@20s", "^in-process:motion: "),
         long("serial.unplug@20s", "plug"),
         long("serial.drop=0.02@20s", "in-process:motion"),
         long("serial.flip=0.02@20s", "in-process:motion"),
