@@ -17,7 +17,7 @@ from milling.load import Idle
 
 STEP_MM = 0.01
 FEED_MM_S = 0.4
-NEAR_MM = 0.045
+NEAR_MM = 0.03
 """Start above the predicted contact, once the surface's error is known."""
 SIGMAS = 4.0
 SETTLE_S = 0.5

@@ -52,7 +52,7 @@ class Job:
             its high end, measured from the point's own contact, is never passed.
         completion_threshold: the upper bound of completion at which the picture says "through".
         detection_gate_px, calibration_gate_mm: the paper's gates before anything is milled.
-        segment_s: duration of one queued segment.
+        segment_s: the longest that one queued segment may take.
         max_laps: a run that needs more is held.
     """
 
@@ -73,7 +73,7 @@ class Job:
     completion_threshold: float = 0.995
     detection_gate_px: float = 10.0
     calibration_gate_mm: float = 1.0
-    segment_s: float = 0.03
+    segment_s: float = 0.04
     max_laps: int = 200
     policy: PolicyName = "default"
 

@@ -1,7 +1,7 @@
-"""Laps of short segments: XY at constant feed, z only as deep as permitted, the queue never longer than three.
+"""Laps of short segments: XY at constant feed, z only as deep as permitted, the queue never longer than 120 ms.
 
-The path runs through the points; every stretch between two of them is cut into segments of 20-40 ms. When the first
-segment towards a point is written, its permission is asked for; each later one asks again, so a permission that
+The path runs through the points; every stretch between two of them is cut into segments of at most 40 ms. When the
+first segment towards a point is written, its permission is asked for; each later one asks again, so a permission that
 ends takes the rest of the way back to the depth already cut. The tip is followed along what was written: a tip off
 that line by more than 20 um stops the run.
 """
@@ -29,10 +29,10 @@ from milling.trajectory import Trajectory
 
 Floats = npt.NDArray[np.float64]
 
-QUEUED = 3
-"""Segments written ahead of the tip."""
+QUEUED_S = 0.12
+"""Written ahead of the tip, at most."""
 POLL_S = 0.04
-GLANCE_S = 0.033
+GLANCE_S = 0.01
 SPEED_OVER_S = 0.12
 LOG_S = 0.2
 PAUSE_AFTER_S = 0.15
@@ -40,6 +40,8 @@ PAUSE_AFTER_S = 0.15
 GIVE_UP_AFTER_S = 2.0
 MOST_PAUSES = 8
 """Within one lap: eyes that are late again and again guide nothing, and each way back into the kerf is a risk."""
+LONGER_BY = 1.05
+"""Of a stretch, by what is milled, against the straight line between its points at depth zero."""
 ENTER_FEED_MM_S = 1.0
 ACROSS_FEED_MM_S = 15.0
 IDLE_LAPS = 2
@@ -100,9 +102,12 @@ class Laps:
         self._knots, self._length = trajectory.knots_mm, trajectory.length_mm
         self.top_z_mm = top_z_mm
         self._n = trajectory.n
-        pitch = self._length / self._n
-        self._per_point = max(1, round(pitch / (job.feed_mm_s * job.segment_s)))
-        self._segment_s = pitch / self._per_point / job.feed_mm_s
+        # The feed is that of the tip in space: on a slope the same stretch of ring takes longer.
+        knots = np.column_stack([trajectory.tip_mm[:, :2], top_z_mm])
+        stretch_s = np.linalg.norm(np.diff(knots, axis=0, append=knots[:1]), axis=1) / job.feed_mm_s
+        self._per_point = max(1, ceil(LONGER_BY * float(stretch_s.max()) / job.segment_s))
+        self._step_s = stretch_s / self._per_point
+        """(n,) from vertex to vertex on the way to the next point."""
         self._depth = np.zeros(self._n)
         """What was commanded at each point's last or current visit."""
         self._bite = np.zeros(self._n)
@@ -168,7 +173,7 @@ class Laps:
                 polled_s = glanced_s = float("-inf")
                 continue
             wrote = False
-            while self._next - self._reached() < QUEUED:
+            while self._ahead_s() + float(self._step_s.max()) <= QUEUED_S:
                 self._write()
                 wrote = True
             if self._next - self._bitten > IDLE_LAPS * self._n * self._per_point:
@@ -215,10 +220,11 @@ class Laps:
         z = periodic_spline(self._knots, self.top_z_mm - self._depth, self._length)(along)
         return (round(float(x), 4), round(float(y), 4), round(float(z), 4))
 
-    def _reached(self) -> float:
-        """Where the tip should be by now, in vertices; it never outruns what was written."""
-        gone = (self._hands.clock.now_s() - self._at_s) / self._segment_s
-        return min(self._at + min(gone, POLL_S / self._segment_s), float(self._next - 1))
+    def _ahead_s(self) -> float:
+        """How long the tip can go on by what is written; it is believed to run for ``POLL_S`` without being seen."""
+        ways = self._step_s[(np.arange(floor(self._at), self._next - 1) // self._per_point) % self._n]
+        left_s = float(ways.sum()) - (self._at - floor(self._at)) * float(ways[0]) if len(ways) else 0.0
+        return max(0.0, left_s - min(self._hands.clock.now_s() - self._at_s, POLL_S))
 
     # Following the tip.
 
@@ -262,7 +268,8 @@ class Laps:
         while len(self._track) > 2 and time_s - self._track[1][0] >= SPEED_OVER_S:
             self._track.popleft()
         since_s = time_s - self._track[0][0]
-        speed = (at - self._track[0][1]) * self._segment_s / since_s if since_s > 0 else 0.0
+        step_s = float(self._step_s[floor(at / self._per_point) % self._n])
+        speed = (at - self._track[0][1]) * step_s / since_s if since_s > 0 else 0.0
         while self._reports and self._reports[0].time_s <= time_s:
             report = self._reports.popleft()
             if span_s <= 0 or report.time_s <= self._at_s:

@@ -49,7 +49,7 @@ class Limits:
     frame_age_s: float = 0.1
     past_mm: float = 0.05
     past_risk: float = 0.1
-    left_mm: float = 0.005
+    left_mm: float = 0.01
     left_risk: float = 0.03
     unheard_mm: float = 0.04
     early_share: float = 0.8

@@ -35,6 +35,7 @@ from milling.published import Unguarded
 from milling.result import Outcome, Progress, RunResult
 from milling.standing import Standing, require_unmoved, touch_again
 from milling.survey import survey, verify_calibration
+from milling.thickness import Thickness
 from milling.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -235,7 +236,7 @@ class _Run:
     def _guarded(self, trajectory: Trajectory, reference: Image, idle: Idle, floor_mm: float) -> _Ring:
         """Contact under every point, and the ledger that counts from it; or both as an earlier run left them."""
         job, tip = self.job, trajectory.tip_mm
-        ledger = Ledger(job.n_points, job.limits, pitch_mm=trajectory.length_mm / job.n_points)
+        ledger = Ledger(job.n_points, job.limits, Thickness(job.n_points, job.limits, pitch_mm=trajectory.pitch_mm))
         predicted = [float(z) for z in trajectory.contact_z_mm]
 
         def told(index: int, height: float) -> None:
@@ -267,7 +268,7 @@ class _Run:
         meter = LoadMeter(
             found,
             finder.idle,
-            pitch_mm=trajectory.length_mm / job.n_points,
+            pitch_mm=trajectory.pitch_mm,
             ball_radius_mm=job.ball_radius_mm,
             sound_depth_mm=job.thickness_low_mm,
         )

@@ -13,28 +13,47 @@ that point's own contact, and it needs all of
 What a limit has stopped goes on only after a look with the drill lifted. A point is finished at a look, where it is
 through with all probability; it is latched then.
 
-No clock, no device: every rule here can be read and tested by itself.
+Standard library only, no clock, no device: every rule here can be read and tested by itself.
 """
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol
 
 from drivers.errors import SafetyStop
 from milling.limits import Limits
 from milling.point import Grant, Point, PointState
-from milling.thickness import Thickness
+
+
+class Estimate(Protocol):
+    """What all cues together say of the bone under each point; ``milling.thickness.Thickness``."""
+
+    def weighed(self, index: int, depth_mm: float, ratio: float) -> None:
+        """A pass that ended at ``depth_mm`` took ``ratio`` of what bone takes."""
+
+    def pictured(self, index: int, depth_mm: float, completion: float) -> None:
+        """A picture of the point, cut to ``depth_mm``, reads as ``completion``."""
+
+    def forget_pictures(self, index: int) -> None:
+        """What was seen of the point tells nothing."""
+
+    def pictures(self, index: int) -> dict[str, Any]:
+        """What was seen of the point, for a later run; as JSON."""
+
+    def recall_pictures(self, index: int, kept: Mapping[str, Any]) -> None:
+        """What an earlier run saw of the point."""
+
+    def through(self, index: int, depth_mm: float) -> float:
+        """Probability that the ball, at ``depth_mm`` below contact, has come through."""
 
 
 class Ledger:
     """The evidence about every point of a closed ring."""
 
-    def __init__(self, n_points: int, limits: Limits, *, pitch_mm: float) -> None:
-        """``pitch_mm`` from point to point."""
+    def __init__(self, n_points: int, limits: Limits, thickness: Estimate) -> None:
+        """``thickness`` as it is known before anything is milled."""
         self.limits = limits
         self._points = [Point(limits) for _ in range(n_points)]
-        self.thickness = Thickness(
-            n_points, low_mm=limits.thickness_low_mm, high_mm=limits.thickness_high_mm, pitch_mm=pitch_mm
-        )
+        self.thickness = thickness
         self._bite_mm = limits.late_bite_mm
         """The newest bite that was asked for."""
         self._stale = False
@@ -77,8 +96,16 @@ class Ledger:
     def ask(self, index: int, *, bite_mm: float, now_s: float, frame_at_s: float) -> Grant:
         """How deep the tip may go at this visit. Asking again within one visit never adds to it."""
         point, self._bite_mm = self.points[index], bite_mm
-        deepest_mm = self._shallower_neighbour_mm(index) + self.limits.neighbour_mm
-        grant = point.judge(bite_mm, now_s, frame_at_s, deepest_mm=deepest_mm, said_mm=self._said_mm)
+        beside = self._neighbours(index)
+        shallower_mm = min(neighbour.cut_mm for neighbour in beside)
+        grant = point.judge(
+            bite_mm,
+            now_s,
+            frame_at_s,
+            deepest_mm=shallower_mm + self.limits.neighbour_mm,
+            blind_mm=0.0 if any(neighbour.blind for neighbour in beside) else shallower_mm,
+            said_mm=self._said_mm,
+        )
         if grant.deeper and self._too_deep(index, grant.depth_mm):
             grant = Grant(point.cut_mm, False, "the bite may lead too deep")
         if grant.deeper:
@@ -196,10 +223,10 @@ class Ledger:
     def _too_deep(self, index: int, depth_mm: float) -> bool:
         return self.thickness.through(index, depth_mm - self.limits.past_mm) > self.limits.past_risk
 
-    def _shallower_neighbour_mm(self, index: int) -> float:
+    def _neighbours(self, index: int) -> tuple[Point, Point]:
         """Bone does not change its thickness from one point to the next, so depths that part tell of a wrong cue.
 
         And a ball that digs beside a ridge cuts into its flank: the load there says nothing about the bone below.
         """
         n = len(self._points)
-        return min(self._points[(index - 1) % n].cut_mm, self._points[(index + 1) % n].cut_mm)
+        return self._points[(index - 1) % n], self._points[(index + 1) % n]

@@ -20,6 +20,7 @@ from milling.job import Job
 from milling.load import LoadMeter
 from milling.permission import Ledger
 from milling.record import Run
+from milling.thickness import Thickness
 from milling.trajectory import Trajectory
 
 Floats = npt.NDArray[np.float64]
@@ -52,7 +53,9 @@ class Standing:
 
     def ledger(self, job: Job) -> Ledger:
         """All permits as they stood. It takes a while: not with the drill in the bone."""
-        ledger = Ledger(job.n_points, job.limits, pitch_mm=self.trajectory.length_mm / job.n_points)
+        ledger = Ledger(
+            job.n_points, job.limits, Thickness(job.n_points, job.limits, pitch_mm=self.trajectory.pitch_mm)
+        )
         for index in range(job.n_points):
             ledger.touched(index)
         depth_mm = [0.0] * job.n_points

@@ -1,12 +1,14 @@
 """How far down the bone goes under each point: load, picture and neighbours, weighed as one probability.
 
-T is the depth, below a point's own contact, at which the ball comes through. Every cue says something about the
-excess x = depth - T, and says it with a known error (decision 0025; ``python -m studies.cue_errors`` measures both):
+T is the depth below a point's own contact, as commanded, at which the ball's sphere comes through the inner surface;
+bone gives way by some 10 um under a pass, so the hole itself opens a little later. Every cue says something about T,
+and says it with a known error (decision 0044; ``python -m studies.cue_errors`` measures it):
 
-- the load of a pass, against what bone takes, falls from 0.97 at x = -15 um to 0.73 at x = +57 um;
-- the completion read from a picture is 0.9 at x = -20 um and 0.98 at x = +15 um, shifted by some 20 um for a whole
-  specimen, and by 70 um in bad light;
-- bone does not change its thickness much from one point to the next.
+- the load of a pass, against what bone takes, is 0.98 where 30 um are left, 0.95 at T, and 0.75 at 45 um past it.
+  Passes vary by 0.07, and all passes of one point may be wrong together by 0.05;
+- the completion read from a picture is the share depth / T that is cut, to some 0.07, until there is a hole; a hole
+  shows from 13 um past T on, to 12 um;
+- bone changes its thickness by some 25 um (10 to 39) from one point to the next.
 
 Each cue may also be plainly wrong (glare, blood, thin bone over a bed of its colour, a pit whose flanks are cut), so
 none may ever weigh more than its floor lets it: where two contradict each other, the answer is "unknown".
@@ -22,17 +24,21 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
+from milling.limits import Limits
+
 Floats = npt.NDArray[np.float64]
 
 GRID_MM = 0.005
 LOWEST_MM = 0.05
 
-LOAD_AT_MM = (-0.05, -0.015, -0.005, 0.005, 0.015, 0.025, 0.035, 0.045, 0.057, 0.08, 0.12)
-LOAD = (1.0, 0.97, 0.96, 0.95, 0.94, 0.89, 0.845, 0.79, 0.725, 0.66, 0.58)
-"""Load, as a share of what bone takes, at those excesses."""
-LOAD_SIGMA = 0.11
-"""Of one pass; 0.08 to 0.1 was measured, more is used because errors of passes that follow each other are alike."""
-LOAD_FLOOR = 3e-4
+LOAD_AT_MM = (-0.08, -0.06, -0.045, -0.03, -0.015, -0.005, 0.005, 0.015, 0.025, 0.035, 0.045, 0.057, 0.08, 0.12)
+LOAD = (1.0, 0.997, 0.99, 0.978, 0.965, 0.958, 0.948, 0.922, 0.866, 0.8, 0.745, 0.705, 0.65, 0.57)
+"""Load, as a share of what bone takes, at those distances past T."""
+LOAD_SIGMA = 0.12
+"""Of one pass; 0.07 was measured, more is used because errors of passes that follow each other are alike."""
+POINT_SIGMA = 0.05
+"""What all passes of one point may be wrong by together."""
+LOAD_FLOOR = 1e-3
 """What all passes of a point together may weigh at most."""
 BONE_PASSES = 48
 """Passes over what is bone for certain, whose median load counts as 1: the torque of the air drifts."""
@@ -44,21 +50,28 @@ SETTLED_MM = 0.12
 CERTAIN_MM = 0.02
 CERTAIN = 0.05
 
-COMPLETION = (0.5, 0.55, 0.65, 0.725, 0.775, 0.825, 0.875, 0.915, 0.945, 0.97, 0.985)
-COMPLETION_AT_MM = (-0.18, -0.16, -0.122, -0.097, -0.075, -0.053, -0.031, -0.014, 0.0, 0.011, 0.02)
-COMPLETION_SIGMA_MM = (0.06, 0.055, 0.045, 0.035, 0.03, 0.027, 0.025, 0.024, 0.024, 0.024, 0.024)
-"""The excess that a completion tells of, and how well."""
-HOLE_AT_MM, HOLE_SIGMA_MM = 0.005, 0.025
-"""From there on a picture says "through" and tells no more."""
+COMPLETION = (
+    0.043, 0.074, 0.149, 0.252, 0.35, 0.45, 0.554, 0.648, 0.725, 0.775, 0.826, 0.87, 0.909, 0.942, 0.964, 0.98, 0.99
+)  # fmt: skip
+SHARE = (
+    0.037, 0.066, 0.138, 0.242, 0.344, 0.441, 0.542, 0.645, 0.723, 0.774, 0.83, 0.884, 0.929, 0.967, 0.98, 0.995, 1.017
+)  # fmt: skip
+SHARE_SIGMA = (
+    0.018, 0.039, 0.059, 0.07, 0.078, 0.088, 0.094, 0.098, 0.095, 0.096, 0.092, 0.083, 0.078, 0.066, 0.064, 0.06, 0.056
+)  # fmt: skip
+"""The share depth / T that a completion tells of, and 1.3 times how well: pictures of neighbours err alike."""
+HOLE = 0.993
+"""From this completion on a picture says "through" and tells no more."""
+HOLE_AT_MM, HOLE_SIGMA_MM = 0.013, 0.012
 PICTURE_FLOOR = 0.03
 PICTURES = 5
 """The newest readings of a point, whose median counts."""
-SHIFTS_MM = tuple(0.02 * step for step in range(-4, 5))
-SHIFT_SIGMA_MM = 0.025
-"""What all pictures of one specimen may be wrong by together."""
+FOLLOWS_OVER_MM, FOLLOWS = 0.05, 0.3
+"""A picture that over so much depth changes by less than this share of what it should is stuck, and tells nothing. Of
+16,000 healthy ones one in a thousand stays below 0.35."""
 
 CONTACT_SIGMA_MM = 0.012
-SLOPE = 0.045
+SLOPE = 0.09
 """Change of thickness per mm along the ring, one sigma."""
 JUMP = 0.002
 """Weight of any change at all from one point to the next, against that of none."""
@@ -67,15 +80,9 @@ JUMP = 0.002
 class Thickness:
     """What is known of T at every point of a closed ring."""
 
-    def __init__(self, n_points: int, *, low_mm: float, high_mm: float, pitch_mm: float) -> None:
-        """Begin with the prior.
-
-        Args:
-            n_points: points on the ring.
-            low_mm: two sigmas below the middle of the thickness prior.
-            high_mm: two sigmas above it.
-            pitch_mm: from point to point.
-        """
+    def __init__(self, n_points: int, limits: Limits, *, pitch_mm: float) -> None:
+        """Begin with the thickness prior of ``limits``, two sigmas to either side; ``pitch_mm`` from point to point."""
+        low_mm, high_mm = limits.thickness_low_mm, limits.thickness_high_mm
         self._n = n_points
         self._grid = np.arange(LOWEST_MM, high_mm + 0.15, GRID_MM)
         self._prior = np.exp(-0.5 * ((self._grid - (low_mm + high_mm) / 2) / ((high_mm - low_mm) / 4)) ** 2) + 0.01
@@ -83,11 +90,14 @@ class Thickness:
         step_mm = hypot(CONTACT_SIGMA_MM, SLOPE * pitch_mm)
         change = np.exp(-0.5 * ((self._grid[:, None] - self._grid) / step_mm) ** 2) + JUMP
         self._change = change / change.sum(axis=1, keepdims=True)
-        self._load = np.zeros((n_points, len(self._grid)))
-        """Log-likelihood of all passes."""
+        self._misfit = np.zeros((2, n_points, len(self._grid)))
+        """Of all passes: sums of measured less expected load, and of its square."""
+        self._passes = np.zeros((n_points, 1))
         self._seen: list[deque[tuple[float, float]]] = [deque(maxlen=PICTURES) for _ in range(n_points)]
         self._bone_seen: list[tuple[float, float] | None] = [None] * n_points
         """The newest median reading that was not "through", and its depth."""
+        self._medians: list[list[tuple[float, float]]] = [[] for _ in range(n_points)]
+        """Median readings that were not "through", and their depths, which grow."""
         self._bone: deque[float] = deque(maxlen=BONE_PASSES)
         self._below: Floats | None = None
         """(n, grid) probability that T is below; None where evidence came since."""
@@ -101,34 +111,44 @@ class Thickness:
             level = min(max(median(self._bone), 1 - MOST_DRIFT), 1 + MOST_DRIFT)
         if ratio / level > MOST_LOAD:
             return
-        expected = np.interp(depth_mm - self._grid, LOAD_AT_MM, LOAD)
-        # A little more load than bone takes is no more bone.
-        self._load[index] -= 0.5 * ((min(ratio / level, 1.0) - expected) / LOAD_SIGMA) ** 2
+        misfit = ratio / level - np.interp(depth_mm - self._grid, LOAD_AT_MM, LOAD)
+        self._misfit[0, index] += misfit
+        self._misfit[1, index] += misfit**2
+        self._passes[index] += 1
         self._below = None
 
     def pictured(self, index: int, depth_mm: float, completion: float) -> None:
         """A picture of the point, cut to ``depth_mm``, reads as ``completion``."""
         self._seen[index].append((completion, depth_mm))
         median_seen = self._newest(index)
-        if median_seen[0] < COMPLETION[-1]:
+        if median_seen[0] < HOLE:
             self._bone_seen[index] = median_seen
+            medians = self._medians[index]
+            if not medians or median_seen[1] > medians[-1][1]:
+                medians.append(median_seen)
         self._below = None
 
     def forget_pictures(self, index: int) -> None:
         """What was seen of the point tells nothing."""
         if self._seen[index]:
             self._seen[index].clear()
+            self._medians[index].clear()
             self._bone_seen[index] = None
             self._below = None
 
     def pictures(self, index: int) -> dict[str, Any]:
         """What was seen of the point, for a later run; as JSON."""
-        return {"seen": list(self._seen[index]), "bone_seen": self._bone_seen[index]}
+        return {
+            "seen": list(self._seen[index]),
+            "bone_seen": self._bone_seen[index],
+            "medians": list(self._medians[index]),
+        }
 
     def recall_pictures(self, index: int, kept: Mapping[str, Any]) -> None:
         """What an earlier run saw of the point."""
         self._seen[index] = deque(((c, depth) for c, depth in kept["seen"]), maxlen=PICTURES)
         self._bone_seen[index] = None if kept["bone_seen"] is None else (kept["bone_seen"][0], kept["bone_seen"][1])
+        self._medians[index] = [(c, depth) for c, depth in kept["medians"]]
         self._below = None
 
     def through(self, index: int, depth_mm: float) -> float:
@@ -138,38 +158,47 @@ class Thickness:
         return float(np.interp(depth_mm - GRID_MM / 2, self._grid, self._below[index], left=0.0))
 
     def _posterior(self) -> Floats:
-        load = np.maximum(np.exp(self._load - self._load.max(axis=1, keepdims=True)), LOAD_FLOOR)
-        shifted = self._pictures()
-        evidence = np.log((shifted * load * self._prior).sum(axis=2)).sum(axis=1)
-        evidence -= 0.5 * (np.asarray(SHIFTS_MM) / SHIFT_SIGMA_MM) ** 2
-        weight = np.exp(evidence - evidence.max())
-        return self._round_the_ring(load * np.tensordot(weight / weight.sum(), shifted, axes=1))
+        return self._round_the_ring(self._loads() * self._pictures())
+
+    def _loads(self) -> Floats:
+        """(n, grid) likelihood of all passes, an error that they share being anything (Gaussian, marginalized)."""
+        total, squares = self._misfit
+        shared = POINT_SIGMA**2 / (LOAD_SIGMA**2 + self._passes * POINT_SIGMA**2)
+        log = -0.5 * (squares - shared * total**2) / LOAD_SIGMA**2
+        return np.asarray(np.maximum(np.exp(log - log.max(axis=1, keepdims=True)), LOAD_FLOOR))
 
     def _pictures(self) -> Floats:
-        """(shifts, n, grid) likelihood of the newest pictures, if all of them are wrong by each shift."""
-        likelihood = np.ones((len(SHIFTS_MM), *self._load.shape))
-        shown = [index for index in range(self._n) if self._seen[index]]
-        if not shown:
-            return likelihood
-        completion, depth_mm = np.array([self._newest(index) for index in shown]).T[:, :, None]
-        excess_mm = depth_mm - self._grid - np.asarray(SHIFTS_MM)[:, None, None]
-        at_mm = np.interp(completion, COMPLETION, COMPLETION_AT_MM)
-        sigmas = (excess_mm - at_mm) / np.interp(completion, COMPLETION, COMPLETION_SIGMA_MM)
-        said = np.exp(-0.5 * sigmas**2)
-        # Below half it only says that there is bone, from the other end on only that there is a hole.
-        bone, hole = completion[:, 0] < COMPLETION[0], completion[:, 0] >= COMPLETION[-1]
-        said[:, bone] = ndtr(-sigmas[:, bone])
-        said[:, hole] = ndtr((excess_mm[:, hole] - HOLE_AT_MM) / HOLE_SIGMA_MM)
-        # A hole may be any depth; what was seen before it says how deep at most.
-        for place, index in enumerate(shown):
-            before = self._bone_seen[index]
-            if hole[place] and before is not None:
-                at_before_mm = before[1] - self._grid - np.asarray(SHIFTS_MM)[:, None]
-                at_before_mm = at_before_mm - np.interp(before[0], COMPLETION, COMPLETION_AT_MM)
-                said[:, place] *= ndtr(-at_before_mm / float(np.interp(before[0], COMPLETION, COMPLETION_SIGMA_MM)))
-        said /= np.maximum(said.max(axis=2, keepdims=True), 1e-12)
-        likelihood[:, shown] = np.maximum(said, PICTURE_FLOOR)
+        """(n, grid) likelihood of the newest pictures."""
+        likelihood = np.ones((self._n, len(self._grid)))
+        for index in range(self._n):
+            if not self._seen[index]:
+                continue
+            completion, depth_mm = self._newest(index)
+            if self._is_stuck(index, completion, depth_mm):
+                continue
+            if completion < HOLE:
+                said = np.exp(-0.5 * self._sigmas_deeper(completion, depth_mm) ** 2)
+            else:
+                # A hole may be any depth; what was seen before it says how deep at most.
+                said = ndtr((depth_mm - self._grid - HOLE_AT_MM) / HOLE_SIGMA_MM)
+                before = self._bone_seen[index]
+                if before is not None:
+                    said = said * ndtr(-self._sigmas_deeper(*before))
+            likelihood[index] = np.maximum(said / max(said.max(), 1e-12), PICTURE_FLOOR)
         return likelihood
+
+    def _is_stuck(self, index: int, completion: float, depth_mm: float) -> bool:
+        """Whether the picture of the point no longer changes as the point gets deeper."""
+        earlier = [seen for seen in self._medians[index] if seen[1] <= depth_mm - FOLLOWS_OVER_MM]
+        if not earlier or completion >= COMPLETION[-1]:
+            return False
+        before, now = np.interp([earlier[-1][0], completion], COMPLETION, SHARE)
+        return bool(now < before * (1.0 + FOLLOWS * (depth_mm / earlier[-1][1] - 1.0)))
+
+    def _sigmas_deeper(self, completion: float, depth_mm: float) -> Floats:
+        """(grid,) how much more of T the depth is than the picture tells, in sigmas."""
+        share = np.interp(completion, COMPLETION, SHARE)
+        return np.asarray((depth_mm / self._grid - share) / np.interp(completion, COMPLETION, SHARE_SIGMA))
 
     def _newest(self, index: int) -> tuple[float, float]:
         """Median completion of the newest pictures, and its depth."""

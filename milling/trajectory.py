@@ -65,6 +65,11 @@ class Trajectory:
         return float(self.path.x[-1])
 
     @property
+    def pitch_mm(self) -> float:
+        """Mean arc length from point to point."""
+        return self.length_mm / self.n
+
+    @property
     def knots_mm(self) -> Floats:
         """(n,) arc length at the points; the first is 0."""
         return np.asarray(self.path.x[:-1], dtype=np.float64)

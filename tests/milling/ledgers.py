@@ -7,6 +7,7 @@ import numpy as np
 from milling.limits import Limits
 from milling.permission import Ledger
 from milling.point import PointState
+from milling.thickness import Thickness
 
 LIMITS = Limits(neighbour_mm=9.0)
 """These tests dig at one point of a ring; the neighbours' rule has a test of its own."""
@@ -15,7 +16,7 @@ BITE_MM = 0.013
 
 
 def touched(n: int = 8, limits: Limits = LIMITS) -> Ledger:
-    ledger = Ledger(n, limits, pitch_mm=PITCH_MM)
+    ledger = Ledger(n, limits, Thickness(n, limits, pitch_mm=PITCH_MM))
     for index in range(n):
         ledger.touched(index)
         ledger.seen(index, completion=0.0, upper=0.1, exposed_at_s=0.0)

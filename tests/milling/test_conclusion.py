@@ -7,11 +7,12 @@ from milling.conclusion import conclude
 from milling.limits import Limits
 from milling.permission import Ledger
 from milling.point import PointState
+from milling.thickness import Thickness
 
 
 def milled(left: list[float]) -> Ledger:
     """32 finished points, but for some whose probability of a bridge is ``left``."""
-    ledger = Ledger(32, Limits(), pitch_mm=PITCH_MM)
+    ledger = Ledger(32, Limits(), Thickness(32, Limits(), pitch_mm=PITCH_MM))
     for point in ledger.points:
         point.state, point.left_probability = PointState.DONE, 0.01
     for index, probability in enumerate(left):

@@ -8,11 +8,12 @@ from milling.job import Job
 from milling.limits import Limits
 from milling.permission import Ledger
 from milling.point import PointState
+from milling.thickness import Thickness
 
 
 def test_erratum_8_no_percentage_of_a_completion_of_zero_enters_the_loop() -> None:
     """A point with a true completion of 0 is milled by its upper bound and its depth: nothing divides by it."""
-    ledger = Ledger(1, Limits(), pitch_mm=0.4)
+    ledger = Ledger(1, Limits(), Thickness(1, Limits(), pitch_mm=0.4))
     ledger.touched(0)
     ledger.seen(0, completion=0.0, upper=0.0, exposed_at_s=0.5)
     assert ledger.ask(0, bite_mm=0.01, now_s=1.0, frame_at_s=1.0).deeper
@@ -27,7 +28,7 @@ def test_erratum_8_no_percentage_of_a_completion_of_zero_enters_the_loop() -> No
 
 def test_erratum_9_the_stop_rule_has_a_threshold_below_one() -> None:
     assert Job().completion_threshold < 1.0
-    ledger = Ledger(1, Limits(), pitch_mm=0.4)
+    ledger = Ledger(1, Limits(), Thickness(1, Limits(), pitch_mm=0.4))
     ledger.touched(0)
     for frame in range(Limits().frames):
         ledger.seen(0, completion=0.9, upper=Job().completion_threshold, exposed_at_s=1.0 + frame)
@@ -45,7 +46,7 @@ def test_erratum_9_the_stop_rule_has_a_threshold_below_one() -> None:
 
 def test_erratum_9_there_is_a_depth_limit_under_a_picture_that_never_says_done() -> None:
     """The paper's one failure: the network reads 0.3 for ever. The load alone ends it; without load the prior does."""
-    ledger = Ledger(1, Limits(), pitch_mm=0.4)
+    ledger = Ledger(1, Limits(), Thickness(1, Limits(), pitch_mm=0.4))
     ledger.touched(0)
     now_s = 1.0
     for _ in range(500):
@@ -62,7 +63,7 @@ def test_erratum_9_there_is_a_depth_limit_under_a_picture_that_never_says_done()
 def test_erratum_9_there_is_a_rule_for_disagreement() -> None:
     """Load gone, picture of bone: at most one small bite more, then no further until a look with the drill lifted."""
     limits = Limits()
-    ledger = Ledger(1, limits, pitch_mm=0.4)
+    ledger = Ledger(1, limits, Thickness(1, limits, pitch_mm=0.4))
     ledger.touched(0)
     now_s = 1.0
     lost_at_mm = None

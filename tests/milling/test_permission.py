@@ -16,6 +16,7 @@ from drivers.errors import ConnectionLostError, SafetyStop
 from milling.latch import Latch, Reaction, reaction_to
 from milling.permission import Ledger
 from milling.point import PointState
+from milling.thickness import Thickness
 
 
 @pytest.mark.parametrize("module", [milling.point, milling.limits, milling.latch])
@@ -50,7 +51,7 @@ def test_asking_again_at_one_visit_adds_nothing() -> None:
 
 
 def test_no_contact_no_descent() -> None:
-    ledger = Ledger(8, LIMITS, pitch_mm=PITCH_MM)
+    ledger = Ledger(8, LIMITS, Thickness(8, LIMITS, pitch_mm=PITCH_MM))
     ledger.seen(0, completion=0.0, upper=0.1, exposed_at_s=0.9)
     assert not ledger.ask(0, bite_mm=0.01, now_s=1.0, frame_at_s=0.95).deeper
 

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from ledgers import PITCH_MM
 
+from milling.limits import Limits
 from milling.thickness import LOAD, LOAD_AT_MM, Thickness
 
 N = 8
 
 
 def fresh() -> Thickness:
-    return Thickness(N, low_mm=0.25, high_mm=0.6, pitch_mm=PITCH_MM)
+    return Thickness(N, Limits(), pitch_mm=PITCH_MM)
 
 
 def weigh(estimate: Thickness, index: int, thickness_mm: float, to_mm: float, *, level: float = 1.0) -> None:
@@ -55,12 +56,24 @@ def test_load_of_bone_excludes_a_hole_above() -> None:
     assert estimate.through(0, 0.34) < 0.02
 
 
-@pytest.mark.parametrize(("completion", "excess_mm"), [(0.65, -0.12), (0.875, -0.03), (0.945, 0.0)])
-def test_pictures_of_one_point_tell_how_much_is_left(completion: float, excess_mm: float) -> None:
+@pytest.mark.parametrize(("completion", "share"), [(0.75, 0.75), (0.87, 0.884), (0.942, 0.967)])
+@pytest.mark.parametrize("depth_mm", [0.28, 0.4])
+def test_pictures_of_one_point_tell_the_share_that_is_cut(depth_mm: float, completion: float, share: float) -> None:
     estimate = fresh()
     for _ in range(5):
-        estimate.pictured(0, 0.4, completion)
-    assert middle_mm(estimate, 0) == pytest.approx(0.4 - excess_mm, abs=0.025)
+        estimate.pictured(0, depth_mm, completion)
+    assert middle_mm(estimate, 0) == pytest.approx(depth_mm / share, abs=0.015)
+
+
+def test_a_picture_that_no_longer_follows_the_depth_tells_nothing() -> None:
+    """The failure of the published system: bone where there is none, however deep the ball goes."""
+    stuck, alone, follows = fresh(), fresh(), fresh()
+    for depth_mm in np.arange(0.2, 0.36, 0.013):
+        for _ in range(5):
+            stuck.pictured(0, float(depth_mm), 0.7)
+            follows.pictured(0, float(depth_mm), float(depth_mm) / 0.43)
+    assert middle_mm(stuck, 0) == pytest.approx(middle_mm(alone, 0), abs=1e-6)
+    assert middle_mm(follows, 0) == pytest.approx(0.43, abs=0.02)
 
 
 def test_one_bad_picture_changes_next_to_nothing() -> None:
@@ -126,10 +139,18 @@ def test_a_drifting_zero_is_no_breakthrough() -> None:
     assert drifted.through(2, 0.3) < 2 * steady.through(2, 0.3) + 0.02
 
 
-def test_a_little_more_load_than_bone_takes_is_no_more_bone_and_much_more_is_nothing() -> None:
+def test_more_load_than_bone_takes_is_bone_and_much_more_is_nothing() -> None:
     loud, plain, pit, none = fresh(), fresh(), fresh(), fresh()
     loud.weighed(0, 0.4, 1.1)
     plain.weighed(0, 0.4, 1.0)
     pit.weighed(0, 0.4, 1.4)
-    assert loud.through(0, 0.4) == pytest.approx(plain.through(0, 0.4))
+    assert loud.through(0, 0.4) < plain.through(0, 0.4)
     assert pit.through(0, 0.4) == pytest.approx(none.through(0, 0.4))
+
+
+def test_passes_that_are_all_wrong_alike_are_no_more_certain_than_some_of_them() -> None:
+    """A point whose reference is wrong by 5 % says so at each of its passes."""
+    estimate = fresh()
+    for depth_mm in np.arange(0.25, 0.35, 0.002):
+        estimate.weighed(0, float(depth_mm), 0.95)
+    assert estimate.through(0, 0.3) < 0.5
