@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -17,8 +18,12 @@ Floats = npt.NDArray[np.float64]
 FRAME_AGE_S = 0.1
 BAD_IN_A_ROW = 5
 SHANK_MM = 12.0
+SEEN, HIDDEN, BEHIND = "s", "h", "b"
 HIDDEN_RADII = 1.25
 """The drill hides this many ball radii round its axis: shadow and blur included."""
+FAR_RADII = 4.0
+"""So far from its axis nothing can be the drill, were the calibration wrong by a millimetre; what a network takes for
+it there is a clot, a pit, a reflection, and the bone round it is judged like any other."""
 
 
 class Reading(Protocol):
@@ -51,6 +56,11 @@ class CompletionReader(Protocol):
         """A reader of one ring."""
 
 
+def shown_as(visible: npt.NDArray[np.bool_], behind: npt.NDArray[np.bool_]) -> str:
+    """A letter per point for the record: seen, hidden for the network, or behind the drill by calibration."""
+    return "".join(np.where(behind, BEHIND, np.where(visible, SEEN, HIDDEN)))
+
+
 class Projector(Protocol):
     """The part of a calibration that draws points."""
 
@@ -75,7 +85,7 @@ class RingView:
     ball_radius_mm: float
     center_from_tip_mm: Floats
 
-    @property
+    @cached_property
     def ring_px(self) -> Floats:
         """(n, 2) in the left picture."""
         return self.projector.project(self.ring_mm)[0]
@@ -90,8 +100,8 @@ class RingView:
         """The ball's radius at that scale."""
         return self.ball_radius_mm * self.radius_px / mean_radius(self.ring_mm)
 
-    def hidden(self, tip_mm: Sequence[float]) -> npt.NDArray[np.bool_]:
-        """(n,) whether a drill at ``tip_mm`` may cover the point, ball or shank."""
+    def radii_off(self, tip_mm: Sequence[float]) -> Floats:
+        """(n,) how far each point is from the axis of a drill at ``tip_mm``, ball and shank, in ball radii."""
         axis = self.center_from_tip_mm / np.linalg.norm(self.center_from_tip_mm)
         center = np.asarray(tip_mm, dtype=np.float64) + self.center_from_tip_mm
         beside = center + self.ball_radius_mm * np.array([0.0, 1.0, 0.0])
@@ -100,7 +110,16 @@ class RingView:
         along = ends[1] - ends[0]
         offset = self.ring_px - ends[0]
         share = np.clip(offset @ along / float(along @ along), 0.0, 1.0)
-        return np.asarray(np.linalg.norm(offset - share[:, None] * along, axis=1) < HIDDEN_RADII * radius_px)
+        return np.asarray(np.linalg.norm(offset - share[:, None] * along, axis=1) / radius_px)
+
+    def hidden(self, tip_mm: Sequence[float]) -> npt.NDArray[np.bool_]:
+        """(n,) whether a drill at ``tip_mm`` may cover the point, ball or shank."""
+        return np.asarray(self.radii_off(tip_mm) < HIDDEN_RADII)
+
+    def inside(self, image: Image) -> npt.NDArray[np.bool_]:
+        """(n,) whether the point lies in the picture."""
+        limit = np.array([image.shape[1], image.shape[0]]) - 1
+        return np.asarray(((self.ring_px >= 0) & (self.ring_px <= limit)).all(axis=1))
 
 
 class Watch:
@@ -142,15 +161,15 @@ class Watch:
         self._read(frame, tip_mm)
         return True
 
-    def stare(self, frames: int) -> None:
-        """Read some new frames while nothing hides the ring.
+    def stare(self, frames: int, tip_mm: Sequence[float]) -> None:
+        """Read some new frames while the drill is aside.
 
         Raises:
             DeviceTimeoutError: the camera gives none.
             SafetyStop: the readings make no sense.
         """
         for _ in range(frames):
-            self._read(self._camera.capture(), None, "look")
+            self._read(self._camera.capture(), tip_mm, "look")
 
     def wait(self, timeout_s: float) -> None:
         """Wait for one fresh frame.
@@ -166,7 +185,8 @@ class Watch:
         self._index = frame.index
         try:
             reading = self._reader.read(frame.left)
-            completion, upper, visible = self._checked(reading)
+            visible, behind = self._shown(reading, frame.left, tip_mm)
+            completion, upper = self._checked(reading, visible)
         except DetectionError as error:
             self._bad += 1
             self._recorder.event("bad_reading", reason=str(error), in_a_row=self._bad)
@@ -175,8 +195,13 @@ class Watch:
             return
         self._bad = 0
         self.frame_at_s = frame.exposed_at_s
-        if tip_mm is not None:
-            visible = visible & ~self._view.hidden(tip_mm)
+        self._recorder.event(
+            "reading",
+            age_s=self._clock.now_s() - frame.exposed_at_s,
+            completion=completion,
+            upper=upper,
+            shown=shown_as(visible, behind),
+        )
         for index in np.flatnonzero(visible):
             self._witness.seen(
                 int(index),
@@ -187,17 +212,28 @@ class Watch:
         self.completion = np.where(visible, completion, self.completion)
         self._recorder.frame(name, frame.left)
 
-    def _checked(self, reading: Reading) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
-        n = len(self._view.ring_mm)
-        if reading.completion.shape != (n,) or reading.upper.shape != (n,) or reading.visible.shape != (n,):
-            raise DetectionError(f"completion of shape {reading.completion.shape}, ({n},) is needed")
+    def _shown(
+        self, reading: Reading, image: Image, tip_mm: Sequence[float] | None
+    ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """(n,) which points are seen, and which are behind a drill at ``tip_mm``, as far as that is known."""
         visible = np.asarray(reading.visible, dtype=bool)
+        if visible.shape != (len(self._view.ring_mm),):
+            raise DetectionError(f"visibility of shape {visible.shape}, ({len(self._view.ring_mm)},) is needed")
+        if tip_mm is None:
+            return visible, np.zeros_like(visible)
+        off = self._view.radii_off(tip_mm)
+        behind = off < HIDDEN_RADII
+        return (visible | (off > FAR_RADII) & self._view.inside(image)) & ~behind, behind
+
+    def _checked(self, reading: Reading, visible: npt.NDArray[np.bool_]) -> tuple[Floats, Floats]:
+        if reading.completion.shape != visible.shape or reading.upper.shape != visible.shape:
+            raise DetectionError(f"completion of shape {reading.completion.shape}, {visible.shape} is needed")
         seen = np.concatenate([reading.completion[visible], reading.upper[visible]])
         if not np.all(np.isfinite(seen)):
             raise DetectionError("a completion is NaN or infinite")
         if seen.size and (seen.min() < 0.0 or seen.max() > 1.0):
             raise DetectionError(f"completion from {seen.min():.3g} to {seen.max():.3g}, 0 to 1 is possible")
-        return reading.completion, np.maximum(reading.upper, reading.completion), visible
+        return reading.completion, np.maximum(reading.upper, reading.completion)
 
 
 def mean_radius(ring: Floats) -> float:

@@ -8,6 +8,7 @@ that line by more than 20 um stops the run.
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import asdict
 from itertools import pairwise
 from math import ceil, floor
 from typing import Any, Protocol
@@ -195,12 +196,16 @@ class Laps:
         number = self._next
         target = ceil(number / self._per_point)
         index = target % self._n
-        completion = self.permits.completion(index)
-        grant = self.permits.ask(
-            index,
-            bite_mm=self._policy.bite_mm(completion),
-            now_s=self._hands.clock.now_s(),
-            frame_at_s=self._watch.frame_at_s,
+        bite_mm = self._policy.bite_mm(self.permits.completion(index))
+        now_s, frame_at_s = self._hands.clock.now_s(), self._watch.frame_at_s
+        grant = self.permits.ask(index, bite_mm=bite_mm, now_s=now_s, frame_at_s=frame_at_s)
+        self._hands.recorder.event(
+            "asked",
+            point=index + 1,
+            bite_mm=bite_mm,
+            frame_age_s=now_s - frame_at_s,
+            depth_mm=grant.depth_mm,
+            reason="" if grant.deeper else grant.reason,
         )
         if grant.deeper:
             self._bitten = number
@@ -283,9 +288,9 @@ class Laps:
     def _leave(self, index: int, time_s: float) -> None:
         depth_mm = float(self._depth[index])
         deeper = depth_mm > self.permits.cut_mm(index)
-        if deeper:
-            # First of all, for the journal that a later run goes on from: this cannot be taken back.
-            self._hands.recorder.event("cut", point=index + 1, depth_mm=depth_mm)
+        # First of all, for the journal that a later run goes on from: a cut cannot be taken back.
+        age_s = self._hands.clock.now_s() - time_s
+        self._hands.recorder.event("cut" if deeper else "left", point=index + 1, depth_mm=depth_mm, age_s=age_s)
         self.permits.passed(index, depth_mm=depth_mm, now_s=time_s)
         if self._meter is None:
             return
@@ -295,9 +300,8 @@ class Laps:
         if feeling is not None:
             self.permits.felt(index, ratio=feeling.ratio, above_idle=feeling.above_idle)
         if deeper:
-            ratio, sound = (None, None) if feeling is None else (feeling.ratio, feeling.sound)
-            known = self.permits.snapshot(index)
-            self._hands.recorder.event("pass", point=index + 1, ratio=ratio, sound=sound, known=known)
+            felt = {} if feeling is None else asdict(feeling)
+            self._hands.recorder.event("pass", point=index + 1, **felt, known=self.permits.snapshot(index))
 
     def _log(self, report: SpindleStatus) -> None:
         """Load and place a few times a second, for the report."""
@@ -353,5 +357,7 @@ class Laps:
 
     def _abandon(self) -> None:
         """Points whose visit the tip did not finish keep the depth they had."""
-        for point in range(self._left, ceil(self._next / self._per_point) + 1):
-            self.permits.void(point % self._n)
+        points = [point % self._n for point in range(self._left, ceil(self._next / self._per_point) + 1)]
+        for point in points:
+            self.permits.void(point)
+        self._hands.recorder.event("voided", points=[point + 1 for point in points])

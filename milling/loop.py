@@ -314,6 +314,7 @@ class _Run:
                 return "held", "every point stands at the calibrated floor and the picture does not say done"
             if not finished:
                 ledger.stall()
+                self.recorder.event("stalled")
             self._look(ring, ledger)
             if ledger.done:
                 return conclude(ledger)
@@ -332,12 +333,13 @@ class _Run:
         edge = float(center[0]) + self.job.radius_mm + ASIDE_MM - float(self.offset[0])
         z = self.rig.motion.status().position_mm[2]
         high = max(z, float(ring.trajectory.tip_mm[:, 2].max()) + CLEARANCE_MM)
-        self.hands.go_high((edge, float(center[1]), high), high)
+        aside = (edge, float(center[1]), high)
+        self.hands.go_high(aside, high)
         if ring.meter is not None:
             ring.meter.idle = measure_idle_again(self.hands, ring.meter.idle)
         for _ in range(LOOK_FRAMES):
             self.hands.beat()
-            ring.watch.stare(1)
+            ring.watch.stare(1, aside)
         for index, point in enumerate(ledger.points):
             before = point.state
             after = ledger.look(index)

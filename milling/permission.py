@@ -96,16 +96,8 @@ class Ledger:
     def ask(self, index: int, *, bite_mm: float, now_s: float, frame_at_s: float) -> Grant:
         """How deep the tip may go at this visit. Asking again within one visit never adds to it."""
         point, self._bite_mm = self.points[index], bite_mm
-        beside = self._neighbours(index)
-        shallower_mm = min(neighbour.cut_mm for neighbour in beside)
-        grant = point.judge(
-            bite_mm,
-            now_s,
-            frame_at_s,
-            deepest_mm=shallower_mm + self.limits.neighbour_mm,
-            blind_mm=0.0 if any(neighbour.blind for neighbour in beside) else shallower_mm,
-            said_mm=self._said_mm,
-        )
+        deepest_mm = self._shallower_neighbour_mm(index) + self.limits.neighbour_mm
+        grant = point.judge(bite_mm, now_s, frame_at_s, deepest_mm=deepest_mm, said_mm=self._said_mm)
         if grant.deeper and self._too_deep(index, grant.depth_mm):
             grant = Grant(point.cut_mm, False, "the bite may lead too deep")
         if grant.deeper:
@@ -223,10 +215,10 @@ class Ledger:
     def _too_deep(self, index: int, depth_mm: float) -> bool:
         return self.thickness.through(index, depth_mm - self.limits.past_mm) > self.limits.past_risk
 
-    def _neighbours(self, index: int) -> tuple[Point, Point]:
+    def _shallower_neighbour_mm(self, index: int) -> float:
         """Bone does not change its thickness from one point to the next, so depths that part tell of a wrong cue.
 
         And a ball that digs beside a ridge cuts into its flank: the load there says nothing about the bone below.
         """
         n = len(self._points)
-        return self._points[(index - 1) % n], self._points[(index + 1) % n]
+        return min(self._points[(index - 1) % n].cut_mm, self._points[(index + 1) % n].cut_mm)

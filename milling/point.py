@@ -49,8 +49,6 @@ class Point:
     granted_mm: float | None = None
     last_pass_s: float = float("-inf")
     seen_at_s: float = float("-inf")
-    blind: bool = False
-    """Whether it was last passed without having been seen since the pass before."""
     upper: float | None = None
     completion: float = 0.0
     load_ratio: float | None = None
@@ -129,7 +127,6 @@ class Point:
         """
         permitted = self.cut_mm if self.granted_mm is None else self.granted_mm
         self.granted_mm = None
-        self.blind = self.seen_at_s <= self.last_pass_s
         self.last_pass_s = now_s
         if depth_mm > permitted + ROUNDING_MM:
             raise SafetyStop(f"cut to {depth_mm:.4f} mm below contact, permitted were {permitted:.4f} mm")
@@ -137,9 +134,7 @@ class Point:
             self.unheard_mm += depth_mm - self.cut_mm
             self.cut_mm = depth_mm
 
-    def judge(
-        self, bite_mm: float, now_s: float, frame_at_s: float, *, deepest_mm: float, blind_mm: float, said_mm: float
-    ) -> Grant:
+    def judge(self, bite_mm: float, now_s: float, frame_at_s: float, *, deepest_mm: float, said_mm: float) -> Grant:
         """How deep the tip may go at this visit.
 
         Args:
@@ -147,7 +142,6 @@ class Point:
             now_s: the time.
             frame_at_s: when the newest frame was exposed.
             deepest_mm: the depth that its neighbours allow.
-            blind_mm: the same while nothing shows the point, though its neighbours are seen.
             said_mm: the way on that is allowed from where the picture first said "through".
         """
         limits = self.limits
@@ -159,17 +153,16 @@ class Point:
             return self._no("no bite asked")
         if not 0.0 <= now_s - frame_at_s <= limits.frame_age_s:
             return self._no("no fresh frame")
+        if self.upper is None or self.seen_at_s <= self.last_pass_s:
+            return self._no("not seen since its last pass")
         if not self.load_above_idle:
             return self._no("no load at the last pass")
         depth_mm = self.next_mm(bite_mm)
-        blind = self.seen_at_s <= self.last_pass_s
-        if blind and depth_mm > blind_mm:
-            return self._no("not seen since its last pass")
         if depth_mm > limits.thickness_high_mm:
             return self.stop("the high end of the thickness prior is reached")
         # No picture is believed that sees a hole in half of the thinnest bone: there the load cannot be weighed yet.
-        holed = (self.upper or 0.0) >= limits.threshold and depth_mm > limits.thickness_low_mm / 2
-        doubtful = holed or blind or depth_mm > limits.thickness_low_mm
+        holed = self.upper >= limits.threshold and depth_mm > limits.thickness_low_mm / 2
+        doubtful = holed or depth_mm > limits.thickness_low_mm
         if doubtful and self.unheard_mm + depth_mm - self.cut_mm > limits.unheard_mm + ROUNDING_MM:
             return self.stop("it may be through, and its load is not known")
         if self.lost_mm is not None and depth_mm > self.lost_mm + limits.past_loss_mm + ROUNDING_MM:

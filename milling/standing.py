@@ -66,7 +66,7 @@ class Standing:
                     ledger.recall(event["point"] - 1, depth_mm=event["depth_mm"])
                 case "pass":
                     index = event["point"] - 1
-                    ledger.recall(index, depth_mm=depth_mm[index], ratio=event["ratio"])
+                    ledger.recall(index, depth_mm=depth_mm[index], ratio=event.get("ratio"))
                     ledger.restore(index, event["known"])
                 case "looked":
                     for index, known in enumerate(event["known"]):
@@ -76,7 +76,7 @@ class Standing:
     def recall_loads(self, meter: LoadMeter) -> None:
         """What bone took at each point, as far as it was known."""
         for event in self.evidence:
-            if event["kind"] == "pass" and event["sound"] is not None:
+            if event["kind"] == "pass" and event.get("sound") is not None:
                 meter.recall(event["point"] - 1, event["sound"])
 
     def tell(self, recorder: Recorder) -> None:
