@@ -1,6 +1,5 @@
 """`mill resume`: go on with a window whose run ended too early."""
 
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from milling.job import Job
-    from milling.record import Run
     from milling.standing import Standing
 
 
@@ -35,6 +33,7 @@ def resume(run_folder: Path, rig: Path | None, folder: Path, record: Path | None
     is touched at a few points; only where it is felt where the journal says, milling goes on from there. The record
     is a new one; the old one stays as it is.
     """
+    from milling.job import Job
     from milling.record import read_run
     from milling.standing import standing_of
 
@@ -45,26 +44,13 @@ def resume(run_folder: Path, rig: Path | None, folder: Path, record: Path | None
         raise ConfigError(
             f"{run.folder}: cannot be resumed: its virtual bench ended with it; one with --rig on `mill emulate` can be"
         )
-    job = _job_of(run)
+    job = Job.of_record(run.header, run.folder)
     standing = standing_of(run, job)
     _show(standing, job, console_beside(json_file))
     header = (("resumes", str(run.folder)),)
     calibration = run.folder / "calibration.toml"
     chosen = BenchChoice(rig)
     mill_window(Window("resume", chosen, lambda _: job, calibration, record, json_file, standing, header))
-
-
-def _job_of(run: "Run") -> "Job":
-    """The job of the record; what was asked of the window stays what is asked of it."""
-    from milling.job import Job
-
-    job = run.header.get("job")
-    if not isinstance(job, dict):
-        raise ConfigError(
-            f"{run.folder}/header.json: key job: found {job!r}, a table is needed; restore it from a copy"
-        )
-    known = {field.name for field in fields(Job)}
-    return Job.from_table({key: value for key, value in job.items() if key in known})
 
 
 def _show(standing: "Standing", job: "Job", console: "Console") -> None:

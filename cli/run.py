@@ -25,11 +25,21 @@ if TYPE_CHECKING:
 @click.option(
     "--record", type=click.Path(path_type=Path), metavar="DIR", help="Folder of this run's record. [default: runs/DATE]"
 )
+@click.option(
+    "--picture-every",
+    "picture_period_s",
+    type=click.FloatRange(min=0.0),
+    default=2.0,
+    show_default=True,
+    metavar="S",
+    help="How often the record keeps a picture; 0 keeps all that are read.",
+)
 def run(
     chosen: BenchChoice,
     json_file: Path | None,
     calibration: Path | None,
     record: Path | None,
+    picture_period_s: float,
     **choices: Any,
 ) -> None:
     """Mill one window in a closed loop, and write its record and report.
@@ -43,7 +53,7 @@ def run(
 
         return Job.from_table(_job_table(bench, choices))
 
-    mill_window(Window("run", chosen, job, calibration, record, json_file))
+    mill_window(Window("run", chosen, job, calibration, record, json_file, picture_period_s=picture_period_s))
 
 
 def _job_table(bench: Rig, choices: dict[str, Any]) -> dict[str, Any]:

@@ -27,7 +27,7 @@ folder_option = click.option(
 
 @click.group(no_args_is_help=False)
 def runs() -> None:
-    """List, show and report recorded runs."""
+    """List, show, report and replay recorded runs."""
 
 
 @runs.command("list")
@@ -113,6 +113,30 @@ def report(run_folder: Path, folder: Path) -> None:
     from cli.reports.run_report import write_report
 
     click.echo(write_report(located(run_folder, folder)))
+
+
+@runs.command()
+@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+@click.option(
+    "--weights",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Completion weights in place of those that ran.",
+)
+@click.option(
+    "--policy", type=click.Choice(["default", "paper", "previous"]), help="Policy in place of the one that ran."
+)
+@folder_option
+@json_option
+def replay(run_folder: Path, weights: Path | None, policy: str | None, folder: Path, json_file: Path | None) -> None:
+    """Decide a recorded run again, and show where the decisions part.
+
+    With neither weights nor policy: by this version of mill. Other weights read the pictures that the record kept; a
+    run with `--picture-every 0` keeps all of them. Nothing moves.
+    """
+    from cli.redecide import decide_again
+
+    decide_again(located(run_folder, folder), weights, policy, json_file)
 
 
 def located(run_folder: Path, folder: Path) -> Path:

@@ -40,6 +40,8 @@ class Window:
     """An earlier run's window, to go on with."""
     header: "tuple[tuple[str, Any], ...]" = ()
     """What else the record's header tells."""
+    picture_period_s: float = 2.0
+    """How often the record keeps a picture."""
 
 
 def mill_window(asked: Window) -> None:
@@ -108,7 +110,9 @@ def mill_window(asked: Window) -> None:
                 "calibration": _calibration_header(known),
                 **dict(asked.header),
             }
-            with RunRecorder(folder, header, bench.clock, on_loss=console.print) as recorder:
+            with RunRecorder(
+                folder, header, bench.clock, frame_period_s=asked.picture_period_s, on_loss=console.print
+            ) as recorder:
                 known.save(folder / "calibration.toml")
                 reader = spoiled(completion, own_faults, bench.clock, seed=chosen.seed)
                 finders = Finders(tip.find, landmarks.find, reader, match)

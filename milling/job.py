@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from math import isfinite, pi
+from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
 from drivers.errors import ConfigError
@@ -111,6 +112,21 @@ class Job:
             if key not in known:
                 raise ConfigError(f"[job] {key}: unknown key, allowed {', '.join(sorted(known))}")
         return cls(**table)
+
+    @classmethod
+    def of_record(cls, header: Mapping[str, Any], folder: Path) -> Self:
+        """The job that a record names; what was asked of the window stays what is asked of it.
+
+        Raises:
+            ConfigError: the header holds none, or one that is not allowed.
+        """
+        job = header.get("job")
+        if not isinstance(job, dict):
+            raise ConfigError(
+                f"{folder}/header.json: key job: found {job!r}, a table is needed; restore it from a copy"
+            )
+        known = {field.name for field in fields(cls)}
+        return cls.from_table({key: value for key, value in job.items() if key in known})
 
     @property
     def limits(self) -> Limits:

@@ -54,10 +54,7 @@ class Trajectory:
     @cached_property
     def path(self) -> CubicHermiteSpline:
         """X and y of the tip over arc length; closed."""
-        rough = periodic_spline(self.theta_rad, self.tip_mm[:, :2], 2 * pi)
-        fine = np.linspace(self.theta_rad[0], self.theta_rad[0] + 2 * pi, 64 * self.n + 1)
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rough(fine), axis=0), axis=1))])
-        return periodic_spline(along[:-1:64], self.tip_mm[:, :2], float(along[-1]))
+        return closed_path(self.theta_rad, self.tip_mm[:, :2])
 
     @property
     def length_mm(self) -> float:
@@ -93,6 +90,14 @@ class Trajectory:
     def lowest_tip_z_mm(self, depth_mm: float) -> float:
         """The lowest tip height that ``depth_mm`` below the fitted surface can need, predicted error included."""
         return float(np.min(self.contact_z_mm - depth_mm - PREDICTED_SIGMAS * self.sigma_mm))
+
+
+def closed_path(theta_rad: Floats, xy_mm: Floats) -> CubicHermiteSpline:
+    """The closed curve through points (n, 2) at angles (n,), over its arc length."""
+    rough = periodic_spline(theta_rad, xy_mm, 2 * pi)
+    fine = np.linspace(theta_rad[0], theta_rad[0] + 2 * pi, 64 * len(theta_rad) + 1)
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rough(fine), axis=0), axis=1))])
+    return periodic_spline(along[:-1:64], xy_mm, float(along[-1]))
 
 
 def plan(
