@@ -251,7 +251,7 @@ class Cia402Spindle(Spindle):
     def _beat(self) -> None:
         now_s = self._clock.now_s()
         if self._beating and now_s >= self._next_beat_s:
-            self._next_beat_s = now_s + self._heartbeat_s / 4
+            self._next_beat_s = now_s + self._heartbeat_s / 8
             self._node.send(HEARTBEAT_ID + HOST_NODE_ID, bytes((OPERATIONAL,)))
 
     def _ask(self) -> tuple[int, int]:
