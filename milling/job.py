@@ -149,8 +149,3 @@ class Job:
     def lap_s(self) -> float:
         """Duration of one lap at full feed."""
         return self.circumference_mm / self.feed_mm_s
-
-    @property
-    def rate_bite_mm(self) -> float:
-        """The bite that the removal rate and the bite limit allow at this feed."""
-        return min(self.bite_mm, self.removal_rate_mm2_s / self.feed_mm_s)

@@ -107,6 +107,10 @@ class Laps:
         knots = np.column_stack([trajectory.tip_mm[:, :2], top_z_mm])
         stretch_s = np.linalg.norm(np.diff(knots, axis=0, append=knots[:1]), axis=1) / job.feed_mm_s
         self._per_point = max(1, ceil(LONGER_BY * float(stretch_s.max()) / job.segment_s))
+        level_s = np.linalg.norm(np.diff(knots[:, :2], axis=0, append=knots[:1, :2]), axis=1) / job.feed_mm_s
+        level = level_s / stretch_s
+        self._level = (level + np.roll(level, 1)) / 2
+        """(n,) share of the feed that runs level at each point."""
         self._step_s = stretch_s / self._per_point
         """(n,) from vertex to vertex on the way to the next point."""
         self._depth = np.zeros(self._n)
@@ -196,7 +200,9 @@ class Laps:
         number = self._next
         target = ceil(number / self._per_point)
         index = target % self._n
-        bite_mm = self._policy.bite_mm(self.permits.completion(index))
+        bite_mm = self._policy.bite_mm(
+            self.permits.completion(index), depth_mm=self.permits.cut_mm(index), level=float(self._level[index])
+        )
         now_s, frame_at_s = self._hands.clock.now_s(), self._watch.frame_at_s
         grant = self.permits.ask(index, bite_mm=bite_mm, now_s=now_s, frame_at_s=frame_at_s)
         self._hands.recorder.event(

@@ -126,7 +126,11 @@ class _Side:
 
     def ask(self, index: int, event: dict[str, Any]) -> tuple[float, str]:
         permits = self._ledger if self._unguarded is None else self._unguarded
-        bite_mm = event["bite_mm"] if self._policy is None else self._policy.bite_mm(permits.completion(index))
+        bite_mm = (
+            event["bite_mm"]
+            if self._policy is None
+            else self._policy.bite_mm(permits.completion(index), depth_mm=permits.cut_mm(index))
+        )
         t = event["t"]
         grant = permits.ask(index, bite_mm=bite_mm, now_s=t, frame_at_s=t - event["frame_age_s"])
         return grant.depth_mm, "" if grant.deeper else grant.reason

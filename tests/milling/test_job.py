@@ -15,13 +15,6 @@ def test_defaults_are_the_papers() -> None:
     assert (job.detection_gate_px, job.calibration_gate_mm) == (10.0, 1.0)
 
 
-@pytest.mark.parametrize("feed", [0.5, 1.3, 2.0, 5.0])
-def test_feed_times_bite_never_exceeds_the_removal_rate(feed: float) -> None:
-    job = Job(feed_mm_s=feed)
-    assert job.feed_mm_s * job.rate_bite_mm <= job.removal_rate_mm2_s + 1e-12
-    assert job.rate_bite_mm <= job.bite_mm
-
-
 @pytest.mark.parametrize(
     ("table", "words"),
     [

@@ -13,9 +13,10 @@ def test_default_is_damped_and_bounded(feed: float) -> None:
     job = Job(feed_mm_s=feed)
     policy = policy_for(job)
     bites = [policy.bite_mm(k / 100) for k in range(101)]
-    assert bites[0] == job.rate_bite_mm
+    full_mm = min(job.bite_mm, job.removal_rate_mm2_s / job.feed_mm_s)
+    assert bites[0] == full_mm
     assert all(later <= earlier for earlier, later in pairwise(bites))
-    assert all(0 < bite <= job.rate_bite_mm for bite in bites)
+    assert all(0 < bite <= full_mm for bite in bites)
     assert policy.guarded
     assert not policy.flat_start
 
@@ -26,6 +27,20 @@ def test_a_proportional_damper_alone_never_arrives() -> None:
     for _ in range(17):
         left -= 0.08 * (left / 0.4)
     assert left == pytest.approx(0.009, abs=0.001)
+
+
+@pytest.mark.parametrize("feed", [0.5, 5.0])
+def test_a_full_bite_removes_no_more_than_area_volume_and_depth_allow(feed: float) -> None:
+    job = Job(feed_mm_s=feed)
+    policy = policy_for(job)
+    for depth_mm in (0.0, 0.02, 0.2, 0.5):
+        for level in (0.7, 1.0):
+            bite_mm = policy.bite_mm(0.0, depth_mm=depth_mm, level=level)
+            width_mm = 2 * (depth_mm * (1.0 - depth_mm)) ** 0.5
+            assert bite_mm <= job.bite_mm
+            assert bite_mm * feed * level <= job.removal_rate_mm2_s + 1e-12
+            assert bite_mm * feed * level * width_mm <= 0.054 + 1e-12
+    assert policy_for(Job()).bite_mm(0.0, level=0.9) == pytest.approx(0.065 / 4.5)
 
 
 def test_default_arrives() -> None:

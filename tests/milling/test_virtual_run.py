@@ -66,7 +66,9 @@ def test_no_point_went_deeper_than_the_prior_and_none_faster_than_the_rate(
     assert max(point["depth_mm"] for point in result.points) <= JOB.thickness_high_mm
     laps = [np.array(event["depth_mm"]) for event in run.of_kind("lap")]
     bites = np.diff(laps, axis=0)
-    assert bites.max() <= 2 * JOB.rate_bite_mm + 1e-9, "two visits at most between two laps' reports"
+    assert bites.max() <= 2 * 1.1 * JOB.removal_rate_mm2_s / JOB.feed_mm_s, (
+        "two visits at most between two laps' reports"
+    )
     assert bites.min() >= 0.0
 
 
