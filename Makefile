@@ -17,10 +17,15 @@ test: ## the tests a change must pass (minutes)
 test-long: ## the long tests as well
 	$(BIN)/pytest -m 'long or not long'
 
+rules: ## how well the safety rules are tested: every line and branch, and every small change (a quarter of an hour)
+	$(BIN)/coverage run --branch --include="milling/permission.py,milling/point.py,milling/limits.py,milling/supervisor.py" -m pytest -q tests/milling/test_rules.py tests/milling/test_supervisor.py
+	$(BIN)/coverage report -m --fail-under=100
+	$(BIN)/python tests/mutants.py
+
 OUT ?= weights
 weights: ## train all three networks from nothing into OUT, on two cores (25 minutes)
 	printf '%s\n' landmarks completion tip | xargs -P 3 -I{} $(BIN)/mill train {} --out $(OUT)/{}.onnx
 
 all: check test ## what CI runs
 
-.PHONY: help install check test test-long weights all
+.PHONY: help install check test test-long rules weights all

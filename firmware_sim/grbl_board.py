@@ -120,12 +120,12 @@ class GrblBoard:
         self._now_s = max(self._now_s, time_s)
         if self._program.stepper.running:
             self._turn_motors()
-            self._set_tick()
+            if not self._looks_closely:
+                self._tick_s = self._now_s + TICK_S
 
-    def _set_tick(self) -> None:
-        program = self._program
-        looks_closely = program.probing or program.state is State.HOME
-        self._tick_s = self._now_s + (_FINE_TICK_S if looks_closely else TICK_S)
+    @property
+    def _looks_closely(self) -> bool:
+        return self._program.probing or self._program.state is State.HOME
 
     def _next_time_s(self) -> float:
         stepper = self._program.stepper
@@ -155,7 +155,7 @@ class GrblBoard:
         if program.stepper.running:
             self._turn_motors()
             if self._tick_s <= now_s:
-                self._set_tick()
+                self._tick_s = now_s + (_FINE_TICK_S if self._looks_closely else TICK_S)
         if self._program_at_s() <= now_s:
             was_running = program.stepper.running
             self._sleeps_until_s = next(self._run)

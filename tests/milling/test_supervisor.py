@@ -238,3 +238,61 @@ def test_a_frozen_process_is_stopped_within_its_silence(wire) -> None:
         started._process.wait(5.0)
         with pytest.raises(DeviceError, match="no sign of life"):
             started.beat()
+
+
+def test_words_it_does_not_know_change_nothing(wire: tuple[int, int], said: int) -> None:
+    assert watched(wire[0], said, "A?!") == "told to stop"
+
+
+def test_a_port_that_is_gone_is_told(told: list[str], said: int) -> None:
+    ends = os.pipe()
+    for end in ends:
+        os.close(end)
+    assert watched(ends[1], said, "!") == "told to stop; the port took no bytes"
+
+
+def test_a_port_that_is_full_for_a_moment_is_waited_for(
+    wire: tuple[int, int], said: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, refusals = os.write, [BlockingIOError(), BlockingIOError()]
+
+    def busy(file: int, data: bytes) -> int:
+        if file == wire[0] and refusals:
+            raise refusals.pop()
+        return write(file, data)
+
+    monkeypatch.setattr(supervisor.os, "write", busy)
+    assert watched(wire[0], said, "!") == "told to stop"
+    assert refusals == []
+    assert written(wire[1]) == WORDS
+
+
+@pytest.mark.parametrize("permitted", [True, False])
+def test_it_asks_for_a_good_place_and_watches_without_one(
+    wire: tuple[int, int], said: int, permitted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def ask(name: str) -> None:
+        asked.append(name)
+        if not permitted:
+            raise PermissionError
+
+    monkeypatch.setattr(supervisor.os, "sched_setscheduler", lambda *_: ask("real time"))
+    monkeypatch.setattr(supervisor.os, "setpriority", lambda *_: ask("priority"))
+    monkeypatch.setattr(supervisor.gc, "disable", lambda: ask("no collections") if permitted else None)
+    monkeypatch.setattr(sys, "argv", ["supervisor.py", str(wire[0]), "0.5", '[["21", 0.0], ["18", 0.0]]'])
+    os.write(said, b"!\n")
+    supervisor.main()
+    assert {"real time", "priority"} <= set(asked)
+    assert written(wire[1]) + written(wire[1], 0.5) == WORDS
+
+
+def test_why_goes_to_whoever_reads_and_nobody_need_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    reads, tells = os.pipe()
+    monkeypatch.setattr(supervisor, "STDOUT", tells)
+    supervisor._tell("told to stop")
+    assert os.read(reads, 64) == b"told to stop\n"
+    for end in (reads, tells):
+        os.close(end)
+    supervisor._tell("into nothing")
