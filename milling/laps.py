@@ -108,9 +108,8 @@ class Laps:
         stretch_s = np.linalg.norm(np.diff(knots, axis=0, append=knots[:1]), axis=1) / job.feed_mm_s
         self._per_point = max(1, ceil(LONGER_BY * float(stretch_s.max()) / job.segment_s))
         level_s = np.linalg.norm(np.diff(knots[:, :2], axis=0, append=knots[:1, :2]), axis=1) / job.feed_mm_s
-        level = level_s / stretch_s
-        self._level = (level + np.roll(level, 1)) / 2
-        """(n,) share of the feed that runs level at each point."""
+        self._level = float(level_s.sum() / stretch_s.sum())
+        """Share of the feed that runs level, over a lap."""
         self._step_s = stretch_s / self._per_point
         """(n,) from vertex to vertex on the way to the next point."""
         self._depth = np.zeros(self._n)
@@ -201,7 +200,7 @@ class Laps:
         target = ceil(number / self._per_point)
         index = target % self._n
         bite_mm = self._policy.bite_mm(
-            self.permits.completion(index), depth_mm=self.permits.cut_mm(index), level=float(self._level[index])
+            self.permits.completion(index), depth_mm=self.permits.cut_mm(index), level=self._level
         )
         now_s, frame_at_s = self._hands.clock.now_s(), self._watch.frame_at_s
         grant = self.permits.ask(index, bite_mm=bite_mm, now_s=now_s, frame_at_s=frame_at_s)

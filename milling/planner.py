@@ -20,7 +20,7 @@ _PAPER_V_MAX_MM_S = 0.012
 _PAPER_DONE = 0.95
 _LEAST_BITE_MM = 0.012
 _FULL_BITE_UNTIL = 0.85
-_MOST_MM3_S = 0.054
+_MOST_MM3_S = 0.056
 """Keeps the estimated heating of the bone below 10 C: 22 C per mm^3, gone with a time constant of 8 s. Both are
 choices; no milling of mouse skulls was published with its temperatures."""
 
@@ -42,7 +42,7 @@ class Policy(Protocol):
         Args:
             completion: as the picture reads it.
             depth_mm: what is cut there, below contact.
-            level: share of the feed that runs level there; the rest climbs.
+            level: share of the feed that runs level, over a lap; the rest climbs and descends.
         """
 
 
