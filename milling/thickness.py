@@ -170,21 +170,23 @@ class Thickness:
     def _pictures(self) -> Floats:
         """(n, grid) likelihood of the newest pictures."""
         likelihood = np.ones((self._n, len(self._grid)))
-        for index in range(self._n):
-            if not self._seen[index]:
-                continue
-            completion, depth_mm = self._newest(index)
-            if self._is_stuck(index, completion, depth_mm):
-                continue
-            if completion < HOLE:
-                said = np.exp(-0.5 * self._sigmas_deeper(completion, depth_mm) ** 2)
-            else:
-                # A hole may be any depth; what was seen before it says how deep at most.
-                said = ndtr((depth_mm - self._grid - HOLE_AT_MM) / HOLE_SIGMA_MM)
-                before = self._bone_seen[index]
-                if before is not None:
-                    said = said * ndtr(-self._sigmas_deeper(*before))
-            likelihood[index] = np.maximum(said / max(said.max(), 1e-12), PICTURE_FLOOR)
+        newest = {index: self._newest(index) for index in range(self._n) if self._seen[index]}
+        shown = [index for index, seen in newest.items() if not self._is_stuck(index, *seen)]
+        bone = [index for index in shown if newest[index][0] < HOLE]
+        holes = [index for index in shown if newest[index][0] >= HOLE]
+        if bone:
+            likelihood[bone] = np.exp(-0.5 * self._sigmas_deeper([newest[index] for index in bone]) ** 2)
+        if holes:
+            # A hole may be any depth; what was seen before it says how deep at most.
+            past_mm = np.array([newest[index][1] for index in holes])[:, None] - self._grid
+            likelihood[holes] = ndtr((past_mm - HOLE_AT_MM) / HOLE_SIGMA_MM)
+            before = {index: seen for index in holes if (seen := self._bone_seen[index]) is not None}
+            if before:
+                likelihood[list(before)] *= ndtr(-self._sigmas_deeper(list(before.values())))
+        if shown:
+            said = likelihood[shown]
+            most = np.maximum(said.max(axis=1, keepdims=True), 1e-12)
+            likelihood[shown] = np.maximum(said / most, PICTURE_FLOOR)
         return likelihood
 
     def _is_stuck(self, index: int, completion: float, depth_mm: float) -> bool:
@@ -195,10 +197,11 @@ class Thickness:
         before, now = np.interp([earlier[-1][0], completion], COMPLETION, SHARE)
         return bool(now < before * (1.0 + FOLLOWS * (depth_mm / earlier[-1][1] - 1.0)))
 
-    def _sigmas_deeper(self, completion: float, depth_mm: float) -> Floats:
-        """(grid,) how much more of T the depth is than the picture tells, in sigmas."""
-        share = np.interp(completion, COMPLETION, SHARE)
-        return np.asarray((depth_mm / self._grid - share) / np.interp(completion, COMPLETION, SHARE_SIGMA))
+    def _sigmas_deeper(self, seen: list[tuple[float, float]]) -> Floats:
+        """(m, grid) how much more of T each depth is than its picture tells, in sigmas, from completions and depths."""
+        completion, depth_mm = np.array(seen).T[:, :, None]
+        share, sigma = (np.interp(completion, COMPLETION, column) for column in (SHARE, SHARE_SIGMA))
+        return np.asarray((depth_mm / self._grid - share) / sigma)
 
     def _newest(self, index: int) -> tuple[float, float]:
         """Median completion of the newest pictures, and its depth."""
