@@ -71,7 +71,7 @@ def mutants(source: str) -> Iterator[tuple[int, str, ast.Module]]:
         for words, other in variants(spot):
             was = ast.unparse(spot).splitlines()[0]
             now = "nothing" if other is None else ast.unparse(ast.fix_missing_locations(other)).splitlines()[0]
-            changed = _Swap(spot, other).visit(ast.parse(source))
+            changed = _Swap(spot, copy.deepcopy(other)).visit(ast.parse(source))
             yield spot.lineno, f"{words}: {was} -> {now}", ast.fix_missing_locations(changed)
 
 

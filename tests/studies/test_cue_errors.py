@@ -11,7 +11,7 @@ from firmware_sim.cutting import carve_balls
 from firmware_sim.skull import Skull
 from firmware_sim.specimen import draw_specimen
 from milling.record import RunRecorder, read_run
-from studies.cue_errors import cues_of, main, table
+from studies.cue_errors import EDGES_MM, cues_of, main, table
 from studies.ring_truth import through_z_mm
 
 SEED = 5
@@ -49,18 +49,19 @@ def test_each_load_counts_once_and_each_picture_by_its_depth(tmp_path: Path) -> 
     cues = cues_of(read_run(tmp_path / "run-5"))
     np.testing.assert_allclose(cues.load, [[0.1 - through, 1.0], [0.2 - through, 0.9]])
     np.testing.assert_allclose(cues.completion[:, 1], [0.3, 0.4, 0.6])
+    np.testing.assert_allclose(cues.share, [[0.3, 0.1 / through], [0.4, 0.1 / through], [0.6, 0.2 / through]])
 
 
 def test_tables_are_printed_by_excess(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record(tmp_path / "run-5")
     main([str(tmp_path)])
     assert "completion by excess" in capsys.readouterr().out
-    lines = table("load ratio", np.array([[-0.03, 1.0], [-0.04, 0.9], [0.035, 0.8]]))
+    lines = table("load ratio", "excess, um", np.array([[-0.03, 1.0], [-0.04, 0.9], [0.035, 0.8]]), EDGES_MM, 1e-3)
     assert [line.split()[3] for line in lines[2:]] == ["2", "1"]
 
 
 def test_a_folder_without_runs_is_named(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match="no run-N folder"):
+    with pytest.raises(SystemExit, match="no record with laps"):
         main([str(tmp_path)])
     (tmp_path / "run-1").mkdir()
     with pytest.raises(ConfigError, match="run-1"):
