@@ -23,6 +23,13 @@ if TYPE_CHECKING:
 @click.option("--points", "n_points", type=int, metavar="N", help="Trajectory points.")
 @click.option("--ratio", "landmark_ratio", type=float, metavar="L", help="Centre between bregma (0) and lambda (1).")
 @click.option(
+    "--center",
+    "center_mm",
+    type=(float, float, float),
+    metavar="X Y Z",
+    help="The ring's centre in mm, its height near the surface, in place of bregma and lambda.",
+)
+@click.option(
     "--record", type=click.Path(path_type=Path), metavar="DIR", help="Folder of this run's record. [default: runs/DATE]"
 )
 @click.option(

@@ -34,6 +34,14 @@ _RANGES: dict[str, tuple[float, float]] = {
 }
 
 
+def _is_point(value: object) -> bool:
+    return (
+        isinstance(value, tuple)
+        and len(value) == 3
+        and all(isinstance(each, int | float) and not isinstance(each, bool) and isfinite(each) for each in value)
+    )
+
+
 @dataclass(frozen=True)
 class Job:
     """One window. Lengths in mm, times in s; a value outside its range is refused by name, never clipped.
@@ -55,6 +63,8 @@ class Job:
         detection_gate_px, calibration_gate_mm: the paper's gates before anything is milled.
         segment_s: the longest that one queued segment may take.
         max_laps: a run that needs more is held.
+        center_mm: the ring's centre in {R}, its height near the surface, in place of bregma and lambda: where the tip
+            stands over the middle of the window, say. For bone that has no landmarks.
     """
 
     radius_mm: float = 2.0
@@ -76,6 +86,7 @@ class Job:
     calibration_gate_mm: float = 1.0
     segment_s: float = 0.04
     max_laps: int = 200
+    center_mm: tuple[float, float, float] | None = None
     policy: PolicyName = "default"
 
     def __post_init__(self) -> None:
@@ -89,6 +100,8 @@ class Job:
                 raise ConfigError(f"[job] {key}: found {value:g}, allowed {low:g} to {high:g}")
         if self.policy not in get_args(PolicyName):
             raise ConfigError(f"[job] policy: found {self.policy!r}, allowed {', '.join(get_args(PolicyName))}")
+        if self.center_mm is not None and not _is_point(self.center_mm):
+            raise ConfigError(f"[job] center_mm: found {self.center_mm!r}, needs three numbers of mm: x, y, z")
         if self.thickness_low_mm >= self.thickness_high_mm:
             raise ConfigError(
                 f"[job] thickness_low_mm: found {self.thickness_low_mm:g}, must be less than thickness_high_mm "
@@ -111,7 +124,8 @@ class Job:
         for key in table:
             if key not in known:
                 raise ConfigError(f"[job] {key}: unknown key, allowed {', '.join(sorted(known))}")
-        return cls(**table)
+        center = table.get("center_mm")
+        return cls(**{**table, "center_mm": tuple(center)} if isinstance(center, list) else table)
 
     @classmethod
     def of_record(cls, header: Mapping[str, Any], folder: Path) -> Self:

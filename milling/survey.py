@@ -63,15 +63,7 @@ def survey(
     frame = frames[0]
     recorder.frame("reference_left", frame.left)
     recorder.frame("reference_right", frame.right)
-    tell("landmarks", "")
-    landmarks_px, landmarks_right_px, center_px, right_px = _landmarks(frame, finders, job)
-    ends, _ = calibration.points_from_pixels(landmarks_px, landmarks_right_px)
-    apart_mm = float(np.linalg.norm(ends[1] - ends[0]))
-    if not LANDMARKS_MM[0] <= apart_mm <= LANDMARKS_MM[1]:
-        raise DetectionError(
-            f"bregma and lambda are {apart_mm:.2f} mm apart, allowed {LANDMARKS_MM[0]:g} to {LANDMARKS_MM[1]:g} mm: "
-            "one of them is something else; clear the skull, check light and focus"
-        )
+    landmarks_px, center_px, right_px = _center(calibration, frame, finders, job, tell)
     rough, _ = calibration.points_from_pixels(center_px[None], right_px[None])
     x, y = center_px
     matches = finders.match(
@@ -94,9 +86,29 @@ def survey(
         matches=len(points),
         measured=surface.measured.mean(),
     )
-    trajectory.tell(recorder, bregma_px=landmarks_px[0], lambda_px=landmarks_px[1])
+    trajectory.tell(recorder, **landmarks_px)
     tell("trajectory", trajectory.note)
     return frame.left, trajectory
+
+
+def _center(
+    calibration: "Calibration", frame: StereoFrame, finders: Finders, job: Job, tell: Callable[[str, str], None]
+) -> tuple[dict[str, Floats], Floats, Floats]:
+    """Bregma and lambda in the left picture, for the record, and the ring's centre in both pictures."""
+    if job.center_mm is not None:
+        tell("center", "as told")
+        left, right = calibration.project(np.array([job.center_mm]))
+        return {}, left[0], right[0]
+    tell("landmarks", "")
+    landmarks_px, landmarks_right_px, center_px, right_px = _landmarks(frame, finders, job)
+    ends, _ = calibration.points_from_pixels(landmarks_px, landmarks_right_px)
+    apart_mm = float(np.linalg.norm(ends[1] - ends[0]))
+    if not LANDMARKS_MM[0] <= apart_mm <= LANDMARKS_MM[1]:
+        raise DetectionError(
+            f"bregma and lambda are {apart_mm:.2f} mm apart, allowed {LANDMARKS_MM[0]:g} to {LANDMARKS_MM[1]:g} mm: "
+            "one of them is something else; clear the skull, check light and focus"
+        )
+    return {"bregma_px": landmarks_px[0], "lambda_px": landmarks_px[1]}, center_px, right_px
 
 
 def _landmarks(frame: StereoFrame, finders: Finders, job: Job) -> tuple[Floats, Floats, Floats, Floats]:

@@ -49,7 +49,10 @@ def mill_one(world: World, policy: PolicyName, faults: Sequence[str], statistica
         statistical: pictures of numbers in place of light.
         keep: receives the record, and the readings for ``studies.perception``; None keeps nothing.
     """
-    bench = Bench(world.specimen(), faults=parse_faults(faults, place="bench"))
+    specimen = world.specimen()
+    # An eggshell has no landmarks: there the ring's middle is told.
+    job = Job(policy=policy, center_mm=specimen.skull.center_mm if specimen.kind == "eggshell" else None)
+    bench = Bench(specimen, faults=parse_faults(faults, place="bench"))
     own = parse_faults(faults, place="host")
     name = f"mouse-{world.name}-{policy}"
     if keep is not None:
@@ -74,9 +77,7 @@ def mill_one(world: World, policy: PolicyName, faults: Sequence[str], statistica
             return RunRecorder((keep or Path(scratch)) / name, header, clock, frame_period_s=1e9)
 
         try:
-            ended = mill(
-                bench, recorder, job=Job(policy=policy), finders=finders, render=None if eyes is None else eyes.render
-            )
+            ended = mill(bench, recorder, job=job, finders=finders, render=None if eyes is None else eyes.render)
         except MillError as error:
             # Before the loop: a device that does not open, a calibration that fails. A mouse of this kind counts too.
             ended = Ended(loop.RunResult("aborted", str(error), 0.0, 0.0), bench.truth())

@@ -16,7 +16,7 @@ from studies.tables import tables
 from studies.trials import wilson
 from vision.runtime import WEIGHTS, read_manifest
 
-CHOSEN_ON = "6, 10, 16 to 57 and 100 to 119"
+CHOSEN_ON = "6, 10, 16 to 57 and 100 to 119, and on mice 0 to 23 of the milling experiment"
 
 
 def page(manifest: dict[str, dict[str, Any]], results: Sequence[dict[str, Any]]) -> str:

@@ -39,3 +39,11 @@ def test_refusals(table: dict[str, Any], words: list[str]) -> None:
         Job.from_table(table)
     for word in words:
         assert word in str(refused.value)
+
+
+def test_a_given_centre_stands_for_landmarks() -> None:
+    assert Job().center_mm is None
+    assert Job.from_table({"center_mm": [5.0, -10.0, -2.5]}).center_mm == (5.0, -10.0, -2.5)
+    for wrong in ([1.0, 2.0], [1.0, 2.0, "3"], "here", [1.0, 2.0, float("nan")], [1.0, 2.0, True]):
+        with pytest.raises(ConfigError, match=r"center_mm: found .*, needs three numbers of mm"):
+            Job.from_table({"center_mm": wrong})

@@ -237,3 +237,23 @@ def test_landmarks_too_near_to_each_other_are_something_else(bench: VirtualRig, 
 
 def test_the_thin_specimen_is_what_the_job_was_cut_for() -> None:
     assert THIN.skull.thickness_mm.max < JOB.thickness_high_mm
+
+
+def test_a_given_centre_needs_no_landmarks(bench: VirtualRig, tmp_path: Path) -> None:
+    """An eggshell has none."""
+
+    def nothing(image: object) -> object:
+        raise AssertionError("nobody looks for landmarks")
+
+    bench.finders = replace(bench.finders, find_landmarks=nothing)  # type: ignore[arg-type]
+    center_mm, stages = bench.bench.specimen.skull.center_mm, list[str]()
+    result = bench.run(
+        tmp_path / "run",
+        replace(JOB, center_mm=center_mm),
+        progress=lambda progress: stages.append(progress.stage),
+        stop_requested=lambda: "spindle" in stages,
+    )
+    assert (result.outcome, "landmarks" in stages) == ("aborted", False)
+    planned = next(read_run(tmp_path / "run").of_kind("trajectory"))
+    assert planned["center_mm"][:2] == pytest.approx(center_mm[:2], abs=0.1)
+    assert "bregma_px" not in planned
