@@ -179,6 +179,20 @@ def test_pictures_of_no_world_and_old_ones_are_ignored(completion: float, upper:
     assert (point.completion, point.upper, point.seen_at_s) == (0.2, 0.3, 1.0)
 
 
+@pytest.mark.parametrize(("completion", "upper"), [(0.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
+def test_the_edges_of_the_world_are_of_it(completion: float, upper: float) -> None:
+    point = bone()
+    assert point.seen(completion=completion, upper=upper, exposed_at_s=1.001)
+    assert (point.completion, point.upper, point.seen_at_s) == (completion, upper, 1.001)
+
+
+def test_a_touch_is_load_and_says_so() -> None:
+    point = Point(LIMITS)
+    assert (point.contacted, point.load_above_idle, point.why) == (False, False, "no contact yet")
+    point.touched()
+    assert (point.contacted, point.load_above_idle, point.why) == (True, True, "contact found")
+
+
 def test_a_picture_says_through_after_some_frames_in_a_row_and_takes_it_back_as_slowly() -> None:
     point = bone(0.3)
     for k in range(LIMITS.frames):
