@@ -45,7 +45,7 @@ def measure(n_points: int, rounds: int, *, seed: int = 0) -> dict[str, float]:
         ledger.felt(index, ratio=float(rng.normal(1.0, 0.07)), above_idle=True)
         for times in (fresh, reused):
             start_s = perf_counter()
-            bite_mm = policy.bite_mm(ledger.completion(index), depth_mm=ledger.cut_mm(index), level=0.9)
+            bite_mm = policy.bite_mm(ledger.completion(index), depth_mm=ledger.cut_mm(index))
             ledger.ask(index, bite_mm=bite_mm, now_s=now_s + 0.05, frame_at_s=now_s)
             depth_mm = np.array([ledger.cut_mm(each) for each in range(n_points)], dtype=np.float64)
             float(periodic_spline(knots_mm, -depth_mm, n_points * pitch_mm)(knots_mm[index] + pitch_mm / 3))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cli.output import columns, write_json
-from drivers.errors import ConfigError
+from drivers.errors import ConfigError, DetectionError
 
 if TYPE_CHECKING:
     from milling.job import Job
@@ -54,8 +54,8 @@ def decide_again(path: Path, weights: Path | None, policy: str | None, json_file
 def _show(result: "Replay", weights: Path | None) -> None:
     if weights is not None:
         click.echo(
-            f"pictures  {result.readings - result.without_picture} of {result.readings} readings; the others are left "
-            "out of both decisions"
+            f"pictures  {result.readings - result.without_picture} of {result.readings} readings, as JPEG; the "
+            "others are left out of both decisions"
         )
     parted = len(result.differences)
     click.echo(f"decisions  {result.asked}, {parted} otherwise")
@@ -124,13 +124,19 @@ def _reader(run: "Run", job: "Job", weights: Path) -> "Reread":
 
     ring_px = np.array(ring["ring_px"])
     ball_px = job.ball_radius_mm * float(ring["radius_px"]) / mean_radius(np.array(ring["ring_mm"]))
-    reader = CompletionReader.load(weights).over(ring_px, ball_px, reference=picture(reference["file"]))
+    unmilled = picture(reference["file"])
+    if unmilled is None:
+        raise ConfigError(f"{run.folder}/{reference['file']}: cannot be read; restore it from a copy")
+    reader = CompletionReader.load(weights).over(ring_px, ball_px, reference=unmilled)
 
     def reread(file: str) -> dict[str, Any] | None:
         image = picture(file)
         if image is None:
             return None
-        reading = reader.read(image)
+        try:
+            reading = reader.read(image)
+        except DetectionError:
+            return None
         return {"completion": reading.completion.tolist(), "upper": reading.upper.tolist()}
 
     return reread

@@ -203,10 +203,12 @@ class Hands:
             # Its first bytes hold the motion. Until it is over nobody gives a sign of life, and nobody else may reset.
             if self._in_bone:
                 self._arm(False)
-            # The drive waits a quarter of a second for a sign of life, and a flush takes most of that.
-            self.spindle.status()
+            self.motion.hold()
+            # The drive waits a quarter of a second for a sign of life, and a flush takes most of that. Should it be
+            # silent itself, the lift is what counts; the next beat says so.
+            with contextlib.suppress(DeviceError):
+                self.spindle.status()
             status = self.motion.flush(timeout_s=0.5)
-            self.spindle.status()
             if self._in_bone:
                 self._arm(True)
         position = status.position_mm

@@ -1,4 +1,4 @@
-"""Laps of short segments: XY at constant feed, z only as deep as permitted, the queue never longer than 120 ms.
+"""Laps of short segments: XY at constant feed, z only as deep as permitted, a queue of 120 ms.
 
 The path runs through the points; every stretch between two of them is cut into segments of at most 40 ms. When the
 first segment towards a point is written, its permission is asked for; each later one asks again, so a permission that
@@ -31,7 +31,7 @@ from milling.trajectory import Trajectory
 Floats = npt.NDArray[np.float64]
 
 QUEUED_S = 0.12
-"""Written ahead of the tip, at most."""
+"""Written ahead of where the tip should be; ahead of one that stands still it is ``POLL_S`` more."""
 POLL_S = 0.04
 GLANCE_S = 0.01
 SPEED_OVER_S = 0.12
@@ -107,9 +107,6 @@ class Laps:
         knots = np.column_stack([trajectory.tip_mm[:, :2], top_z_mm])
         stretch_s = np.linalg.norm(np.diff(knots, axis=0, append=knots[:1]), axis=1) / job.feed_mm_s
         self._per_point = max(1, ceil(LONGER_BY * float(stretch_s.max()) / job.segment_s))
-        level_s = np.linalg.norm(np.diff(knots[:, :2], axis=0, append=knots[:1, :2]), axis=1) / job.feed_mm_s
-        self._level = float(level_s.sum() / stretch_s.sum())
-        """Share of the feed that runs level, over a lap."""
         self._step_s = stretch_s / self._per_point
         """(n,) from vertex to vertex on the way to the next point."""
         self._depth = np.zeros(self._n)
@@ -199,9 +196,7 @@ class Laps:
         number = self._next
         target = ceil(number / self._per_point)
         index = target % self._n
-        bite_mm = self._policy.bite_mm(
-            self.permits.completion(index), depth_mm=self.permits.cut_mm(index), level=self._level
-        )
+        bite_mm = self._policy.bite_mm(self.permits.completion(index), depth_mm=self.permits.cut_mm(index))
         now_s, frame_at_s = self._hands.clock.now_s(), self._watch.frame_at_s
         grant = self.permits.ask(index, bite_mm=bite_mm, now_s=now_s, frame_at_s=frame_at_s)
         self._hands.recorder.event(

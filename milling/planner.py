@@ -36,14 +36,8 @@ class Policy(Protocol):
     def flat_start(self) -> bool:
         """Whether every point starts at one height, above the highest of the ring."""
 
-    def bite_mm(self, completion: float, *, depth_mm: float = 0.0, level: float = 1.0) -> float:
-        """The bite asked for at a point, at its next visit.
-
-        Args:
-            completion: as the picture reads it.
-            depth_mm: what is cut there, below contact.
-            level: share of the feed that runs level, over a lap; the rest climbs and descends.
-        """
+    def bite_mm(self, completion: float, *, depth_mm: float = 0.0) -> float:
+        """The bite asked for at a point of this completion, cut to ``depth_mm``, at its next visit."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +51,13 @@ class Damper:
     guarded: bool = True
     flat_start: bool = False
 
-    def bite_mm(self, completion: float, *, depth_mm: float = 0.0, level: float = 1.0) -> float:
+    def bite_mm(self, completion: float, *, depth_mm: float = 0.0) -> float:
         """T v_max (1 - c) with T v_max such that the bound is met at ``_FULL_BITE_UNTIL``."""
         job = self.job
-        along_mm_s = job.feed_mm_s * level
         width_mm = chord_mm(depth_mm, job.ball_radius_mm)
-        most_mm = min(job.bite_mm, job.removal_rate_mm2_s / along_mm_s)
+        most_mm = min(job.bite_mm, job.removal_rate_mm2_s / job.feed_mm_s)
         if width_mm > 0:
-            most_mm = min(most_mm, _MOST_MM3_S / (along_mm_s * width_mm))
+            most_mm = min(most_mm, _MOST_MM3_S / (job.feed_mm_s * width_mm))
         damped_mm = most_mm * (1.0 - completion) / (1.0 - _FULL_BITE_UNTIL)
         return min(most_mm, max(min(_LEAST_BITE_MM, most_mm), damped_mm))
 
@@ -77,9 +70,9 @@ class PaperDamper:
     flat_start: bool
     guarded: bool = False
 
-    def bite_mm(self, completion: float, *, depth_mm: float = 0.0, level: float = 1.0) -> float:
+    def bite_mm(self, completion: float, *, depth_mm: float = 0.0) -> float:
         """T v_max (1 - c), zero once done."""
-        del depth_mm, level
+        del depth_mm
         return 0.0 if completion >= _PAPER_DONE else self.lap_s * _PAPER_V_MAX_MM_S * (1.0 - completion)
 
 

@@ -70,7 +70,8 @@ def replay(
         )
     if not any(event["kind"] == "asked" for event in run.events):
         raise ConfigError(f"{run.folder}: holds no decisions; only runs of policy default that milled can be replayed")
-    first = _Side(job, pitch_mm, None)
+    # Without other weights the record itself is one side: nothing of this version is taken for granted.
+    first = None if reread is None else _Side(job, pitch_mm, None)
     second = _Side(job, pitch_mm, policy)
     result = Replay()
     for event, picture in _with_pictures(run.events):
@@ -83,19 +84,20 @@ def replay(
                     result.without_picture += 1
                     continue
                 other = event | seen
-            first.read(event)
             second.read(other)
+            if first is not None:
+                first.read(event)
         elif event["kind"] == "asked":
             result.asked += 1
             index, t = event["point"] - 1, event["t"]
-            # Without other weights the record itself is one side: nothing of this version is taken for granted.
-            before = (event["depth_mm"], event["reason"]) if reread is None else first.ask(index, event)
+            before = (event["depth_mm"], event["reason"]) if first is None else first.ask(index, event)
             after = second.ask(index, event)
             if abs(before[0] - after[0]) > EQUAL_MM:
                 result.differences.append(Difference(t, index + 1, before[0], before[1], after[0], after[1]))
         else:
-            first.take(event)
             second.take(event)
+            if first is not None:
+                first.take(event)
     return result
 
 

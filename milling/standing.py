@@ -102,6 +102,10 @@ def standing_of(run: Run, job: Job) -> Standing:
         earlier = run.header.get("resumes")
         step = f"resume {earlier} again" if earlier else "nothing is milled; start a new run"
         raise ConfigError(no + f"it ended before all contacts were known; {step}")
+    if any("medians" not in event["known"] for event in run.of_kind("pass")):
+        raise ConfigError(
+            no + "an earlier version of mill recorded it, which kept less of every point; finish it by hand"
+        )
     reference = _reference(run)
     if reference is None:
         raise ConfigError(no + "the picture of the unmilled skull is not in the record")

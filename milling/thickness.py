@@ -180,7 +180,11 @@ class Thickness:
             # A hole may be any depth; what was seen before it says how deep at most.
             past_mm = np.array([newest[index][1] for index in holes])[:, None] - self._grid
             likelihood[holes] = ndtr((past_mm - HOLE_AT_MM) / HOLE_SIGMA_MM)
-            before = {index: seen for index in holes if (seen := self._bone_seen[index]) is not None}
+            before = {
+                index: seen
+                for index in holes
+                if (seen := self._bone_seen[index]) is not None and not self._is_stuck(index, *seen)
+            }
             if before:
                 likelihood[list(before)] *= ndtr(-self._sigmas_deeper(list(before.values())))
         if shown:

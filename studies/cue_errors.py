@@ -26,7 +26,7 @@ from studies.trials import World
 Floats = npt.NDArray[np.float64]
 
 EDGES_MM = (-0.3, -0.15, -0.1, -0.05, -0.02, -0.01, 0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.065, 0.1)
-READ = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.89, 0.93, 0.955, 0.975, 0.985, 0.992, 1.0)
+READ = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.89, 0.93, 0.955, 0.975, 0.985, 0.992, 1.001)
 """Completions."""
 
 
@@ -46,7 +46,7 @@ def cues_of(run: Run) -> Cues:
     """What one run's record holds; nothing for a run that ended before all contacts were found."""
     seed = int(run.header["seed"])
     # Trials of an experiment count their mice from a place of their own.
-    specimen = World(seed).specimen() if "statistical" in run.header else draw_specimen(seed)
+    specimen = World(seed, _file(run)).specimen() if "statistical" in run.header else draw_specimen(seed)
     contact_mm = np.array([event["z_mm"] for event in run.of_kind("contact")])
     ball_mm = np.array([event["ball_mm"] for event in run.of_kind("trajectory")]).reshape(-1, 3)
     if len(contact_mm) == 0 or len(contact_mm) < len(ball_mm):
@@ -72,15 +72,21 @@ def cues_of(run: Run) -> Cues:
     return Cues(np.array(load).reshape(-1, 2), np.array(completion).reshape(-1, 2), np.array(share).reshape(-1, 2))
 
 
+def _file(run: Run) -> Path | None:
+    """The specimen file of a trial, if it had one."""
+    file = run.header.get("specimen")
+    return None if file is None else Path(file)
+
+
 def table(name: str, by: str, pairs: Floats, edges: Sequence[float], unit: float) -> list[str]:
     """Lines of median, spread and tails of the second column, by the first one in ``unit``."""
-    lines = [f"{name} by {by}", f"  {by:>12}      n  median     sd     5 %    95 %"]
+    lines = [f"{name} by {by}", f"  {by:>16}      n  median     sd     5 %    95 %"]
     for low, high in pairwise(edges):
         values = pairs[(pairs[:, 0] >= low) & (pairs[:, 0] < high), 1]
         if len(values):
             few, many = np.percentile(values, [5, 95])
             lines.append(
-                f"  {low / unit:4.0f} to {high / unit:4.0f} {len(values):6d}  {np.median(values):6.3f}  "
+                f"  {low / unit:6.1f} to {high / unit:6.1f} {len(values):6d}  {np.median(values):6.3f}  "
                 f"{values.std():5.3f}  {few:6.3f}  {many:6.3f}"
             )
     return lines

@@ -72,7 +72,13 @@ def mill_one(world: World, policy: PolicyName, faults: Sequence[str], statistica
     with TemporaryDirectory() as scratch:
 
         def recorder(clock: SimClock) -> RunRecorder:
-            header = {"seed": world.seed, "clock": "virtual", "faults": list(faults), "statistical": statistical}
+            header = {
+                "seed": world.seed,
+                "clock": "virtual",
+                "specimen": None if world.file is None else str(world.file),
+                "faults": list(faults),
+                "statistical": statistical,
+            }
             # Events tell what happened; thousands of pictures would fill a disk.
             return RunRecorder((keep or Path(scratch)) / name, header, clock, frame_period_s=1e9)
 

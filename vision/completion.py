@@ -41,7 +41,8 @@ class CompletionReading:
     upper: Floats
     """(n,) bound that the truth exceeds in at most 2.5 % of cases; never below ``completion``."""
     visible: npt.NDArray[np.bool_]
-    """(n,) False where the drill hides it or it lies outside the picture: its other figures mean nothing."""
+    """(n,) False where something like a drill hides it or it lies outside the picture. Who knows that the drill is far
+    away (``milling.eyes``) may read the others all the same."""
     kerf: npt.NDArray[np.float32]
     """Logit of kerf at each cell of the strip."""
     depth: npt.NDArray[np.float32]

@@ -34,13 +34,12 @@ def test_a_full_bite_removes_no_more_than_area_volume_and_depth_allow(feed: floa
     job = Job(feed_mm_s=feed)
     policy = policy_for(job)
     for depth_mm in (0.0, 0.02, 0.2, 0.5):
-        for level in (0.7, 1.0):
-            bite_mm = policy.bite_mm(0.0, depth_mm=depth_mm, level=level)
-            width_mm = 2 * (depth_mm * (1.0 - depth_mm)) ** 0.5
-            assert bite_mm <= job.bite_mm
-            assert bite_mm * feed * level <= job.removal_rate_mm2_s + 1e-12
-            assert bite_mm * feed * level * width_mm <= 0.056 + 1e-12
-    assert policy_for(Job()).bite_mm(0.0, level=0.9) == pytest.approx(0.065 / 4.5)
+        bite_mm = policy.bite_mm(0.0, depth_mm=depth_mm)
+        width_mm = 2 * (depth_mm * (1.0 - depth_mm)) ** 0.5
+        assert bite_mm <= job.bite_mm
+        assert bite_mm * feed <= job.removal_rate_mm2_s + 1e-12
+        assert bite_mm * feed * width_mm <= 0.056 + 1e-12
+    assert policy_for(Job()).bite_mm(0.0, depth_mm=0.5) == pytest.approx(0.056 / 5)
 
 
 def test_default_arrives() -> None:

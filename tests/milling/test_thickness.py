@@ -139,6 +139,17 @@ def test_a_drifting_zero_is_no_breakthrough() -> None:
     assert drifted.through(2, 0.3) < 2 * steady.through(2, 0.3) + 0.02
 
 
+def test_what_a_stuck_picture_said_before_a_hole_does_not_count_either() -> None:
+    stuck, alone = fresh(), fresh()
+    for depth_mm in np.arange(0.15, 0.31, 0.013):
+        for _ in range(5):
+            stuck.pictured(0, float(depth_mm), 0.5)
+    for estimate in (stuck, alone):
+        for _ in range(5):
+            estimate.pictured(0, 0.32, 1.0)
+    assert stuck.through(0, 0.3) == pytest.approx(alone.through(0, 0.3))
+
+
 def test_more_load_than_bone_takes_is_bone_and_much_more_is_nothing() -> None:
     loud, plain, pit, none = fresh(), fresh(), fresh(), fresh()
     loud.weighed(0, 0.4, 1.1)
