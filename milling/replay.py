@@ -19,8 +19,8 @@ from milling.published import Unguarded
 from milling.record import Run
 from milling.thickness import Thickness
 
-EQUAL_MM = 5e-7
-"""The record keeps nanometres."""
+EQUAL_MM = 3e-6
+"""The record keeps nanometres, of the depth and of the bite."""
 
 Reread = Callable[[str], dict[str, Any] | None]
 """What other weights read from a picture of the record, by its file: completion and upper bound, (n,) each."""
