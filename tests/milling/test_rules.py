@@ -223,6 +223,9 @@ def test_a_hole_where_no_skull_is_thin_enough_is_not_believed(cut_mm: float, inc
     for k in range(LIMITS.frames):
         point.seen(completion=1.0, upper=1.0, exposed_at_s=2.0 + k)
     assert (point.said_mm, point.incredible) == (LIMITS.thickness_low_mm, incredible)
+    for k in range(LIMITS.frames):
+        point.seen(completion=0.5, upper=0.6, exposed_at_s=12.0 + k)
+    assert (point.said_mm, point.incredible) == (None, False)
 
 
 def test_two_lost_loads_in_a_row_lose_it_and_two_whole_ones_find_it() -> None:
@@ -319,7 +322,7 @@ def test_a_look_gives_back_what_was_unheard_where_bone_is_likely(
     point = bone(upper=upper, left_probability=left, unheard_mm=0.05, load_above_idle=False)
     point.stop("limit")
     point.reopen()
-    assert (point.unheard_mm, point.load_above_idle) == (unheard_mm, True)
+    assert (point.unheard_mm, point.load_above_idle, point.resting) == (unheard_mm, True, False)
     assert (point.state, point.why, point.looks) == (PointState.OPEN, "re-opened after a look", 1)
     point.reopen()
     assert point.looks == 1, "a look that followed no bite told nothing new"
@@ -343,6 +346,7 @@ def test_a_snapshot_brings_back_all_but_the_depth() -> None:
 def test_a_ring_grants_counts_and_keeps_to_one_bite_a_visit() -> None:
     ledger, _ = ring()
     first = ledger.ask(1, bite_mm=BITE_MM, now_s=1.05, frame_at_s=1.0)
+    assert ledger.points[1].verdicts == {"bite": 1}
     again = ledger.ask(1, bite_mm=BITE_MM, now_s=1.06, frame_at_s=1.0)
     assert (first.depth_mm, again.depth_mm) == (pytest.approx(0.11), pytest.approx(0.11))
     assert ledger.points[1].verdicts == {"bite": 1}
@@ -376,6 +380,7 @@ def test_a_bite_that_may_lead_too_deep_is_not_given_and_the_point_rests_until_mo
     ledger.seen(1, completion=0.2, upper=0.3, exposed_at_s=1.5)
     assert (ledger.points[1].state, ledger.points[1].resting) == (PointState.STOPPED, True)
     assert ledger.points[1].why.startswith("may be through")
+    assert ledger.ask(1, bite_mm=BITE_MM, now_s=1.9, frame_at_s=1.0).reason == ledger.points[1].why
     said.maybe = LIMITS.past_risk
     ledger.seen(1, completion=0.2, upper=0.3, exposed_at_s=1.6)
     assert ledger.ask(1, bite_mm=BITE_MM, now_s=1.65, frame_at_s=1.6).deeper
@@ -484,3 +489,32 @@ def test_a_load_that_drooped_at_enough_points_leads_on_farther_under_a_picture_t
     assert not ledger.ask(6, bite_mm=BITE_MM, now_s=1.05, frame_at_s=1.0).deeper
     ledger.points[1].agreed = True
     assert ledger.ask(7, bite_mm=BITE_MM, now_s=1.05, frame_at_s=1.0).deeper
+
+
+def test_what_an_earlier_run_cut_is_unheard_and_only_what_it_cut() -> None:
+    ledger, _ = ring()
+    ledger.recall(0, depth_mm=0.13)
+    assert ledger.points[0].unheard_mm == pytest.approx(0.03)
+    ledger.recall(0, depth_mm=0.12)
+    assert (ledger.cut_mm(0), ledger.points[0].unheard_mm) == (0.13, pytest.approx(0.03))
+
+
+@pytest.mark.parametrize("news", ["felt", "recalled", "passed", "restored", "seen"])
+def test_every_piece_of_news_is_weighed_before_the_next_question(news: str) -> None:
+    ledger, said = ring()
+    assert ledger.points[1].left_probability == 1.0
+    kept = ledger.snapshot(1)
+    said.maybe_mm, said.maybe = 0.0, 0.4
+    assert ledger.points[1].left_probability == 1.0, "no news, no new estimate"
+    match news:
+        case "felt":
+            ledger.felt(0, ratio=1.0, above_idle=True)
+        case "recalled":
+            ledger.recall(0, depth_mm=0.1)
+        case "passed":
+            ledger.passed(0, depth_mm=0.1, now_s=2.0)
+        case "restored":
+            ledger.restore(0, kept)
+        case _:
+            ledger.seen(0, completion=0.2, upper=0.3, exposed_at_s=2.0)
+    assert ledger.points[1].left_probability == pytest.approx(0.6)
