@@ -359,13 +359,14 @@ def test_a_ring_grants_counts_and_keeps_to_one_bite_a_visit() -> None:
         ledger.passed(1, depth_mm=0.11, now_s=1.3)
 
 
-def test_no_point_leads_its_shallower_neighbour_by_more_than_is_allowed() -> None:
+@pytest.mark.parametrize("beside", [(1, 3), (3, 1)])
+def test_no_point_leads_its_shallower_neighbour_by_more_than_is_allowed(beside: tuple[int, int]) -> None:
     ledger, _ = ring()
     ledger.recall(0, depth_mm=0.1 + LIMITS.neighbour_mm - 0.005)
     ledger.points[0].unheard_mm = 0.0
     grant = ledger.ask(0, bite_mm=BITE_MM, now_s=1.05, frame_at_s=1.0)
     assert (grant.deeper, grant.reason) == (False, "waits for its neighbours")
-    for index in (1, 3):
+    for index in beside:
         assert not ledger.ask(0, bite_mm=BITE_MM, now_s=1.05, frame_at_s=1.0).deeper
         ledger.recall(index, depth_mm=0.2)
     assert ledger.ask(0, bite_mm=BITE_MM, now_s=1.05, frame_at_s=1.0).deeper
@@ -463,10 +464,12 @@ def test_pictures_of_a_hole_that_cannot_be_are_forgotten_and_those_of_untouched_
         ledger.seen(0, completion=1.0, upper=1.0, exposed_at_s=2.0 + k)
     assert said.forgotten == [0]
     assert len(said.pictured_at) == LIMITS.frames - 1
+    said.maybe_mm, said.maybe = 0.0, 0.5
     fresh = Ledger(3, LIMITS, said)
     said.pictured_at.clear()
     fresh.seen(0, completion=0.1, upper=0.2, exposed_at_s=1.0)
     assert said.pictured_at == []
+    fresh.felt(0, ratio=1.0, above_idle=True)
     assert fresh.points[0].left_probability == 1.0
 
 
