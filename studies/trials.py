@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from multiprocessing import active_children
 from pathlib import Path
 from typing import Any, cast
 
@@ -112,6 +113,10 @@ def run_trials(
                 progress(done, len(arguments))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
+            # A trial takes a minute, and some wait where nothing can cancel them; each leaves nothing but its scratch.
+            for worker in active_children():
+                worker.kill()
+                worker.join()
             raise
     return {name: _read(file, made_by) for name, file in files.items()}
 

@@ -1,6 +1,8 @@
 """Studies: they go on where they stopped, and their intervals cover."""
 
 import json
+import multiprocessing
+import threading
 
 import numpy as np
 import pytest
@@ -16,6 +18,13 @@ def trial(folder, number):
     with (folder / f"{CALLS}-{number}").open("a") as file:
         file.write("x")
     return {"square": number**2}
+
+
+def endless(number):
+    """Ends only where it is number 1."""
+    if number > 1:
+        threading.Event().wait()
+    return {"number": number}
 
 
 def arguments(folder, numbers=(1, 2, 3)):
@@ -73,3 +82,14 @@ def test_the_interval_covers_the_true_rms_about_as_often_as_it_says():
 def test_one_trial_has_no_interval():
     assert rms_interval([0.3]) == (pytest.approx(0.3),) * 3
     assert json.dumps(rms_interval([0.3, 0.3]))
+
+
+def test_an_interrupt_waits_for_no_trial_and_leaves_no_process(tmp_path):
+    def interrupt(done, _total):
+        if done == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_trials(endless, {f"t-{n}": (n,) for n in (1, 2, 3, 4)}, tmp_path, workers=2, progress=interrupt)
+    assert multiprocessing.active_children() == []
+    assert [file.name for file in tmp_path.iterdir()] == ["t-1.json"]
