@@ -58,7 +58,7 @@ def _show(result: "Replay", weights: Path | None) -> None:
             "others are left out of both decisions"
         )
     parted = len(result.differences)
-    click.echo(f"decisions  {result.asked}, {parted} otherwise")
+    click.echo(f"decisions  {result.asked}, otherwise at {parted} visits")
     if not parted:
         return
     first = result.differences[0]
@@ -71,12 +71,13 @@ def _show(result: "Replay", weights: Path | None) -> None:
         (
             f"{each.t:.2f}",
             str(each.point),
-            _decision(each.recorded_mm, each.recorded_why),
-            _decision(each.now_mm, each.now_why),
+            "" if each.recorded_why else f"{each.recorded_mm:.3f}",
+            "" if each.now_why else f"{each.now_mm:.3f}",
+            each.recorded_why or each.now_why,
         )
         for each in result.differences[:SHOWN]
     ]
-    for line in columns(("t, s", "point", "then", "now"), rows):
+    for line in columns(("t, s", "point", "then, mm", "now, mm", "why no deeper"), rows):
         click.echo(line)
     if parted > SHOWN:
         click.echo(f"... and {parted - SHOWN} more; --json FILE holds all")

@@ -6,7 +6,7 @@ drill that went elsewhere. So the first difference is exact, and later ones tell
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from drivers.errors import ConfigError
@@ -28,7 +28,7 @@ Reread = Callable[[str], dict[str, Any] | None]
 
 @dataclass(frozen=True)
 class Difference:
-    """One visit that was decided otherwise. ``point`` counts from 1; depths are below contact."""
+    """A visit that was decided otherwise. ``point`` counts from 1; depths are below contact."""
 
     t: float
     point: int
@@ -93,12 +93,18 @@ def replay(
             before = (event["depth_mm"], event["reason"]) if first is None else first.ask(index, event)
             after = second.ask(index, event)
             if abs(before[0] - after[0]) > EQUAL_MM:
-                result.differences.append(Difference(t, index + 1, before[0], before[1], after[0], after[1]))
+                _add(result.differences, Difference(t, index + 1, before[0], before[1], after[0], after[1]))
         else:
             second.take(event)
             if first is not None:
                 first.take(event)
     return result
+
+
+def _add(differences: list[Difference], new: Difference) -> None:
+    """A visit is asked about at each of its segments, and told once."""
+    if not differences or replace(differences[-1], t=new.t) != new:
+        differences.append(new)
 
 
 class _Side:

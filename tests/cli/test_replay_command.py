@@ -30,14 +30,14 @@ def record(folder: Path, *, granted_mm: float = 0.013, job: Job = JOB) -> Path:
 
 def test_what_is_decided_the_same_is_said_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert mill("runs", "replay", str(record(tmp_path / "a"))) == 0
-    assert capsys.readouterr().out == "decisions  1, 0 otherwise\n"
+    assert capsys.readouterr().out == "decisions  1, otherwise at 0 visits\n"
 
 
 def test_the_first_difference_is_told_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = record(tmp_path / "a", granted_mm=0.02)
     assert mill("runs", "replay", str(path), "--json", str(tmp_path / "replay.json")) == 0
     out = capsys.readouterr().out
-    assert "decisions  1, 1 otherwise" in out
+    assert "decisions  1, otherwise at 1 visits" in out
     assert "point 3: down to 0.020 mm then, down to 0.013 mm now" in out
     assert json.loads((tmp_path / "replay.json").read_text())["differences"][0]["point"] == 3
 
@@ -47,7 +47,7 @@ def test_a_published_policy_is_compared_at_every_visit(
     policy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert mill("runs", "replay", str(record(tmp_path / "a")), "--policy", policy) == 0
-    assert "decisions  1, 1 otherwise" in capsys.readouterr().out
+    assert "decisions  1, otherwise at 1 visits" in capsys.readouterr().out
 
 
 def test_what_cannot_be_replayed_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
