@@ -35,7 +35,8 @@ MECHANICAL_SETTINGS: Final[Mapping[str, float]] = {
     "$130": 35, "$131": 40, "$132": 28,
 }  # fmt: skip
 """What a host may expect to read back: limits and homing on, steps/mm, mm/min, mm/s2, mm of travel."""
-_COMMISSIONING: Final[Mapping[str, float]] = {"$24": 120, "$25": 1200}
+_COMMISSIONING: Final[Mapping[str, float]] = {"$1": 255, "$24": 120, "$25": 1200}
+"""Motors that stay on at standstill (their release costs 25 ms a move, and holds nothing); homing feeds."""
 _DIALECT_SETTINGS: Final[Mapping[Dialect, Mapping[str, float]]] = {"gnea": {"$10": 3}, "grblhal": {}}
 
 

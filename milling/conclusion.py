@@ -14,7 +14,6 @@ def conclude(ledger: Ledger) -> tuple[Outcome, str]:
     if not left:
         return "complete", "every point is through, judged again with the drill aside"
     names = ", ".join(f"{index + 1} ({ledger.points[index].why})" for index in left)
-    bridges = sum(point.left_probability for point in ledger.points)
-    if bridges <= BRIDGE_SHARE * len(ledger.points):
+    if ledger.bridge_share <= BRIDGE_SHARE:
         return "complete", f"the flap can be lifted, though these points are not through for certain: {names}"
     return "held", f"these points may not be through, and no look may re-open them: {names}"

@@ -89,11 +89,12 @@ class Hands:
         """
         self.beat()
         self.motion.start_move(target_mm, feed_mm_per_s=feed_mm_s)
-        status = self.motion.status()
-        deadline_s = self.clock.now_s() + 3.0 + 3.0 * distance_mm(status.position_mm, target_mm) / feed_mm_s
+        began_s, deadline_s = self.clock.now_s(), float("inf")
         while True:
             self.beat()
             status = self.motion.status()
+            if deadline_s == float("inf"):
+                deadline_s = began_s + 3.0 + 3.0 * distance_mm(status.position_mm, target_mm) / feed_mm_s
             if status.state is MotionState.IDLE and status.queued_s <= 0:
                 break
             if status.state not in (MotionState.IDLE, MotionState.MOVING):

@@ -17,8 +17,9 @@ class Limits:
         past_mm: how far past the inner surface a point may be, for all that is known. A membrane lies 70 um below it at
             least; the rest is run-out and slope.
         past_risk: how probable it may be that the next bite leads farther than that.
-        left_mm: bone that thin holds no flap; the published criterion says 30 um.
+        left_mm: a point is finished with less bone than that left.
         left_risk: how probable it may be that a finished point has more than that left.
+        bridge_mm: bone of at least that thickness may hold the flap: the published criterion.
         unheard_mm: how deep a point may go, on passes whose load could not be weighed, past the low end of the prior or
             under a picture that may say "through".
         early_share: a picture that says "through" above so much of the low end of the prior is not believed at that
@@ -51,6 +52,7 @@ class Limits:
     past_risk: float = 0.1
     left_mm: float = 0.01
     left_risk: float = 0.03
+    bridge_mm: float = 0.03
     unheard_mm: float = 0.04
     early_share: float = 0.8
     bone_probability: float = 0.5

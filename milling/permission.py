@@ -181,6 +181,13 @@ class Ledger:
         return sum(1.0 - point.left_probability for point in self.points) / len(self._points)
 
     @property
+    def bridge_share(self) -> float:
+        """Share of the ring that may hold the flap, as is to be expected."""
+        bridge_mm = self.limits.bridge_mm
+        held = (1.0 - self.thickness.through(i, point.cut_mm + bridge_mm) for i, point in enumerate(self._points))
+        return sum(held) / len(self._points)
+
+    @property
     def open_points(self) -> list[int]:
         """Indices that may still get a bite."""
         return [index for index, point in enumerate(self.points) if point.state is PointState.OPEN]

@@ -31,12 +31,16 @@ def test_pictures_that_are_all_wrong_alike_are_found_out(shift_mm: float) -> Non
     assert max(bone.excess_mm) < 0.075
 
 
-def test_a_completion_that_is_stuck_low_leads_no_deeper() -> None:
+@pytest.mark.parametrize("seed", range(4))
+def test_a_completion_that_is_stuck_low_leads_no_deeper_and_the_load_alone_frees_the_flap(seed: int) -> None:
     """The failure of the published system: the picture never says "through"."""
-    bone = Bone(wavy(32, 6), seed=6)
-    bone.completion = lambda _: 0.7  # type: ignore[method-assign]
+    bone = Bone(wavy(32, 6), seed=seed)
+    honest = bone.completion
+    bone.completion = lambda index: min(0.7, honest(index))  # type: ignore[method-assign]
     bone.mill()
     assert max(bone.excess_mm) < 0.085
+    assert bridges(bone) <= 0.05
+    assert conclude(bone.ledger)[0] == "complete"
 
 
 def test_a_completion_that_is_stuck_high_is_held_and_never_called_complete() -> None:
