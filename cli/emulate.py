@@ -16,6 +16,7 @@ from drivers.errors import ConfigError
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
+    from drivers.recorder import Recorder
     from firmware_sim.bench import Dialect
     from firmware_sim.faults import Fault
     from firmware_sim.serve import BenchService, ServiceStatus
@@ -114,6 +115,13 @@ def spoiled(reader: "CompletionReader", faults: "Sequence[Fault]", clock: "Clock
     from firmware_sim.faulty_reader import FaultyReader
 
     return FaultyReader(reader, faults, clock, seed=seed) if faults else reader
+
+
+def recorded(recorder: "Recorder", faults: "Sequence[Fault]", clock: "Clock") -> "Recorder":
+    """The recorder behind the faults of its disk; itself where there are none."""
+    from firmware_sim.faulty_disk import FaultyDisk
+
+    return FaultyDisk(recorder, faults, clock) if faults else recorder
 
 
 def rig_text(service: "BenchService", name: str) -> str:

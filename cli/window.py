@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.calibrate import calibrate_rig, calibration_path, rig_identity
-from cli.emulate import sorted_faults, spoiled
+from cli.emulate import recorded, sorted_faults, spoiled
 from cli.options import BenchChoice
 from cli.output import console_beside, write_json
 from cli.rig import Rig, rig_for
@@ -124,7 +124,7 @@ def mill_window(asked: Window) -> None:
                     bench.config.tool.center_from_tip_mm,
                     bench.config.bench.park_mm,
                 )
-                scorer = Scorer(recorder, bench)
+                scorer = Scorer(recorded(recorder, own_faults, bench.clock), bench)
                 with watched(console) as tell, _guarded(motion, bench) as guard:
                     result = loop.run(
                         replace(rig_, guard=guard),

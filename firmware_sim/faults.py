@@ -2,7 +2,8 @@
 
 A fault is written ``NAME[=VALUE][@TIME]``, such as ``camera.stuck@30s``, ``serial.drop=1e-3``, ``vision.low=0.7:arc``.
 Without a time it is there from the beginning; ``@30s`` is 30 s after the drill first turned, which is where milling
-starts. What each one does is in ``firmware_sim.sabotage`` (devices) and ``firmware_sim.faulty_reader`` (networks).
+starts. What each one does is in ``firmware_sim.sabotage`` (devices), ``firmware_sim.faulty_reader`` (networks, the
+program itself) and ``firmware_sim.faulty_disk``.
 """
 
 import re
@@ -71,6 +72,13 @@ CATALOGUE: Final[dict[str, Kind]] = {
         "completion never reads more than this", place="host", default=0.7, unit="", low=0.05, high=0.99, reach=True
     ),
     "vision.high": Kind("completion reads as through from the beginning", place="host", reach=True),
+    "host.pause": Kind(
+        "the program that mills stands still once", place="host", default=0.4, unit="s", low=0.01, high=60.0
+    ),
+    "disk.full": Kind("the disk takes no more of the record", place="host"),
+    "disk.slow": Kind(
+        "once a second the disk keeps the program waiting", place="host", default=0.3, unit="s", low=0.01, high=10.0
+    ),
 }
 
 
@@ -157,8 +165,9 @@ def markdown() -> str:
         "",
         "`--fault NAME[=VALUE][@TIME]` plants one, and may be given more than once: to `mill emulate`, or to a command",
         "with `--emulate`. It is refused with `--rig`: what is not virtual has faults enough. Without a time the fault",
-        "is there from the beginning; `@30s` is 30 s after the drill first turned (for `vision`: after the ring was",
-        "first read). What was planted stands in the header of the run's record. The same seed plants the same.",
+        "is there from the beginning; `@30s` is 30 s after the drill first turned (for `vision` and `host`: after",
+        "the ring was first read). What was planted stands in the header of the run's record. The same seed plants the",
+        "same.",
         "",
         "| name | what happens | value, unless told | allowed |",
         "|---|---|---|---|",

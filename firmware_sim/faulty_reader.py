@@ -1,4 +1,4 @@
-"""A completion reader that is wrong on purpose: late, NaN, blind to a hole, or seeing one everywhere."""
+"""A completion reader that is wrong on purpose: late, NaN, blind to a hole, seeing one everywhere, or frozen once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class FaultyReader:
     """Stands before the real reader; the faults' time counts from where a ring is first read."""
 
     def __init__(self, reader: Reader, faults: Sequence[Fault], clock: Clock, *, seed: int) -> None:
-        """``faults`` of the ``vision`` family; ``seed`` chooses where on the ring one point or an arc lies."""
+        """``faults`` of these families: ``vision``, ``host``; ``seed`` chooses where one point or an arc of the ring lies."""
         self._reader = reader
         self._faults = faults
         self._clock = clock
@@ -63,6 +63,7 @@ class _FaultyRing:
         self._started_s = clock.now_s()
         self._first = int(np.random.default_rng([seed, 4712]).integers(n))
         self._n = n
+        self._paused = False
 
     def read(self, image: npt.NDArray[np.uint8]) -> _Answer:
         """What the reader says, spoiled by every fault that has begun."""
@@ -81,6 +82,9 @@ class _FaultyRing:
             elif fault.name == "vision.nan":
                 completion[:] = np.nan
             elif fault.name == "vision.slow":
+                self._clock.sleep_s(fault.value)
+            elif fault.name == "host.pause" and not self._paused:
+                self._paused = True
                 self._clock.sleep_s(fault.value)
         return _Answer(completion, upper, np.asarray(reading.visible))
 

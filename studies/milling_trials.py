@@ -83,7 +83,9 @@ def mill_one(world: World, policy: PolicyName, faults: Sequence[str], statistica
             return RunRecorder((keep or Path(scratch)) / name, header, clock, frame_period_s=1e9)
 
         try:
-            ended = mill(bench, recorder, job=job, finders=finders, render=None if eyes is None else eyes.render)
+            ended = mill(
+                bench, recorder, job=job, finders=finders, render=None if eyes is None else eyes.render, disk=own
+            )
         except MillError as error:
             # Before the loop: a device that does not open, a calibration that fails. A mouse of this kind counts too.
             ended = Ended(loop.RunResult("aborted", str(error), 0.0, 0.0), bench.truth())

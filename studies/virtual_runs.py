@@ -23,6 +23,8 @@ from drivers.motion.grbl.driver import GrblController
 from drivers.spindle.cia402 import Cia402Spindle
 from firmware_sim.bench import ORIGIN_MM, Bench, open_in_process
 from firmware_sim.clock import SimClock
+from firmware_sim.faults import Fault
+from firmware_sim.faulty_disk import FaultyDisk
 from firmware_sim.microscope import Image
 from firmware_sim.specimen import draw_specimen
 from milling import loop
@@ -60,6 +62,7 @@ def mill(
     job: Job,
     finders: Callable[[SimClock], loop.Finders],
     render: Callable[[float], tuple[Image, Image]] | None = None,
+    disk: Sequence[Fault] = (),
 ) -> Ended:
     """Calibrate and mill what lies on ``bench``, which was just switched on.
 
@@ -69,6 +72,7 @@ def mill(
         job: what to mill.
         finders: made on the run's clock.
         render: stands where the microscope stands.
+        disk: faults of the record's disk.
     """
     clock = SimClock()
     line, bus, left, right = open_in_process(bench, clock, fps=FPS, render=render)
@@ -84,7 +88,7 @@ def mill(
         motion.home()
         calibration = procedure.calibrate(motion, camera, eyes.find_tip, clock=clock, tool_offset_mm=(x, y, z))
         rig = loop.Rig(motion, spindle, camera, clock, (x, y, z), PARK_MM)
-        result = loop.run(rig, calibration, eyes, job, record)
+        result = loop.run(rig, calibration, eyes, job, FaultyDisk(record, disk, clock) if disk else record)
         record.close(result.to_json())
     return Ended(result, bench.truth())
 

@@ -17,7 +17,8 @@ from drivers.motion.grbl.driver import GrblController
 from drivers.spindle.cia402 import Cia402Spindle
 from firmware_sim.bench import MAX_FEED_MM_S, MAX_SPEED_RPM, NODE_ID, ORIGIN_MM, PARK_MM, Bench, open_in_process
 from firmware_sim.clock import SimClock
-from firmware_sim.faults import parse_faults
+from firmware_sim.faults import Fault, parse_faults
+from firmware_sim.faulty_disk import FaultyDisk
 from firmware_sim.faulty_reader import FaultyReader
 from firmware_sim.specimen import SkullShape, Specimen, Thickness, Tilt
 from milling import loop
@@ -94,6 +95,7 @@ class VirtualRig:
     motion: GrblController
     spindle: Cia402Spindle
     camera: StereoPair
+    host_faults: Sequence[Fault] = ()
 
     def run(
         self,
@@ -110,7 +112,7 @@ class VirtualRig:
                 self.calibration,
                 self.finders,
                 job,
-                recorder,
+                FaultyDisk(recorder, self.host_faults, self.clock),
                 progress=progress,
                 stop_requested=stop_requested,
                 standing=standing,
@@ -139,10 +141,11 @@ def virtual_rig(specimen: Specimen = THIN, *, dialect: str = "gnea", faults: Seq
     x, y, z = (specimen.tool.ball_radius_mm * value for value in specimen.tool.axis)
     calibration = true_calibration(bench, (x, y, z))
     reader = TrueReader(bench, calibration)
-    spoiled = FaultyReader(reader, parse_faults(faults, place="host"), clock, seed=0)
+    own = parse_faults(faults, place="host")
+    spoiled = FaultyReader(reader, own, clock, seed=0)
     finders = loop.Finders(_Tip(bench), _Landmarks(bench), spoiled, match)
     rig = loop.Rig(motion, spindle, camera, clock, (x, y, z), PARK_MM)
-    return VirtualRig(bench, clock, rig, calibration, finders, reader, motion, spindle, camera)
+    return VirtualRig(bench, clock, rig, calibration, finders, reader, motion, spindle, camera, own)
 
 
 def true_calibration(bench: Bench, center_from_tip_mm: tuple[float, float, float]) -> Calibration:
