@@ -41,7 +41,7 @@ class FaultyReader:
     """Stands before the real reader; the faults' time counts from where a ring is first read."""
 
     def __init__(self, reader: Reader, faults: Sequence[Fault], clock: Clock, *, seed: int) -> None:
-        """``faults`` of these families: ``vision``, ``host``; ``seed`` chooses where one point or an arc of the ring lies."""
+        """``faults`` of the families ``vision`` and ``host``; ``seed`` chooses where one point or an arc lies."""
         self._reader = reader
         self._faults = faults
         self._clock = clock
