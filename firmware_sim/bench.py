@@ -66,14 +66,19 @@ class Bench:
         self.can = CanWire([self.drive])
         self.adapter = SlcanAdapter(self.can)
         self.now_s = 0.0
-        self._sabotage = Sabotage(self, tuple(faults), seed=self.specimen.seed) if faults else None
-        if self._sabotage is not None:
-            self.can.carries = self._sabotage.carries
+        self._sabotage: Sabotage | None = None
+        if faults:
+            self.plant(faults)
 
     @property
     def serial_number(self) -> int:
         """Of every device of this rig; another rig has others, and a calibration holds for one rig only."""
         return zlib.crc32(self.specimen.rig.model_dump_json().encode()) % 1_000_000
+
+    def plant(self, faults: Sequence[Fault]) -> None:
+        """Break it, once; what has no time of its own is broken from now on."""
+        self._sabotage = Sabotage(self, tuple(faults), seed=self.specimen.seed)
+        self.can.carries = self._sabotage.carries
 
     @cached_property
     def microscope(self) -> Microscope:

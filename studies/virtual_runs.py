@@ -9,14 +9,16 @@ already is kept, so that a study that was stopped goes on.
 import argparse
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from calib import procedure
+from calib.calibration_file import Calibration
 from drivers.camera.stereo import StereoPair
 from drivers.device import closed_in_the_end
 from drivers.motion.grbl.driver import GrblController
@@ -75,22 +77,36 @@ def mill(
         disk: faults of the record's disk.
     """
     clock = SimClock()
+    eyes = finders(clock)
+    with recorder(clock) as record, opened(bench, clock, render=render) as rig:
+        calibration = calibrated(rig, eyes)
+        result = loop.run(rig, calibration, eyes, job, FaultyDisk(record, disk, clock) if disk else record)
+        record.close(result.to_json())
+    return Ended(result, bench.truth())
+
+
+@contextmanager
+def opened(
+    bench: Bench, clock: SimClock, *, render: Callable[[float], tuple[Image, Image]] | None = None
+) -> Iterator[loop.Rig]:
+    """Its devices, on in-process wires."""
     line, bus, left, right = open_in_process(bench, clock, fps=FPS, render=render)
     x, y, z = (bench.specimen.tool.ball_radius_mm * along for along in bench.specimen.tool.axis)
-    eyes = finders(clock)
     closed = partial(closed_in_the_end, told=lambda _: None)
     with (
-        recorder(clock) as record,
         closed(GrblController(line, clock, origin_mm=ORIGIN_MM, max_feed_mm_per_s=MAX_FEED_MM_S)) as motion,
         closed(Cia402Spindle(bus, clock, node_id=1, max_speed_rpm=MAX_SPEED_RPM)) as spindle,
         closed(StereoPair(left, right, clock, size_px=SIZE_PX, max_skew_s=MAX_SKEW_S)) as camera,
     ):
-        motion.home()
-        calibration = procedure.calibrate(motion, camera, eyes.find_tip, clock=clock, tool_offset_mm=(x, y, z))
-        rig = loop.Rig(motion, spindle, camera, clock, (x, y, z), PARK_MM)
-        result = loop.run(rig, calibration, eyes, job, FaultyDisk(record, disk, clock) if disk else record)
-        record.close(result.to_json())
-    return Ended(result, bench.truth())
+        yield loop.Rig(motion, spindle, camera, clock, (x, y, z), PARK_MM)
+
+
+def calibrated(rig: loop.Rig, eyes: loop.Finders) -> Calibration:
+    """Home it, and calibrate it as `mill calibrate` does."""
+    rig.motion.home()
+    return procedure.calibrate(
+        rig.motion, rig.camera, eyes.find_tip, clock=rig.clock, tool_offset_mm=rig.center_from_tip_mm
+    )
 
 
 def networks(_clock: SimClock) -> loop.Finders:
