@@ -23,7 +23,7 @@ from drivers.camera.stereo import StereoPair
 from drivers.device import closed_in_the_end
 from drivers.motion.grbl.driver import GrblController
 from drivers.spindle.cia402 import Cia402Spindle
-from firmware_sim.bench import ORIGIN_MM, Bench, open_in_process
+from firmware_sim.bench import MECHANICAL_SETTINGS, ORIGIN_MM, Bench, open_in_process
 from firmware_sim.clock import SimClock
 from firmware_sim.faults import Fault
 from firmware_sim.faulty_disk import FaultyDisk
@@ -94,7 +94,15 @@ def opened(
     x, y, z = (bench.specimen.tool.ball_radius_mm * along for along in bench.specimen.tool.axis)
     closed = partial(closed_in_the_end, told=lambda _: None)
     with (
-        closed(GrblController(line, clock, origin_mm=ORIGIN_MM, max_feed_mm_per_s=MAX_FEED_MM_S)) as motion,
+        closed(
+            GrblController(
+                line,
+                clock,
+                origin_mm=ORIGIN_MM,
+                max_feed_mm_per_s=MAX_FEED_MM_S,
+                expected_settings=MECHANICAL_SETTINGS,
+            )
+        ) as motion,
         closed(Cia402Spindle(bus, clock, node_id=1, max_speed_rpm=MAX_SPEED_RPM)) as spindle,
         closed(StereoPair(left, right, clock, size_px=SIZE_PX, max_skew_s=MAX_SKEW_S)) as camera,
     ):

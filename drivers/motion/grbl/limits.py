@@ -78,7 +78,9 @@ class SoftLimits:
         low_mm, high_mm = span.low_mm - self._origin_mm[2], span.high_mm - self._origin_mm[2]
         if not low_mm <= z_mm < high_mm:
             raise OutOfTravelError(
-                f"{name}: floor z = {z_mm:g} mm is outside the travel {low_mm:g} to {high_mm:g} mm; nothing was written"
+                f"{name}: floor z = {z_mm:g} mm is outside the travel {low_mm:g} to {high_mm:g} mm; nothing was "
+                f"written. A run that was killed leaves its floor in the controller: with the full "
+                f"${machine.FLOOR_SETTING} under [motion.settings] of the rig file it is restored at the next start"
             )
         if tip_mm is not None and tip_mm < z_mm:
             raise OutOfTravelError(
