@@ -146,6 +146,12 @@ def completion(
 )
 @fault_option
 @workers_option
+@click.option(
+    "--cluster",
+    metavar="ADDRESS",
+    help="Run the trials on the workers of this Dask scheduler (tcp://HOST:8786) in place of processes here; records "
+    "of the runs are not kept.",
+)
 @out_option
 @json_option
 def milling(
@@ -156,6 +162,7 @@ def milling(
     statistical: bool,
     faults: tuple[str, ...],
     workers: int,
+    cluster: str | None,
     out: Path | None,
     json_file: Path | None,
 ) -> None:
@@ -176,11 +183,15 @@ def milling(
     if statistical:
         donors()
         stamp["eyes"] = f"statistical {sha256(FILE.read_bytes()).hexdigest()}"
-    arguments = study.trials_of(chosen, asked, planted, statistical, None if statistical else out)
+    keep = None if statistical or cluster else out
+    arguments = study.trials_of(chosen, asked, planted, statistical, keep)
     words = [*(["--statistical"] if statistical else []), *(f"--fault {fault}" for fault in planted)]
     if out:
         out.mkdir(parents=True, exist_ok=True)
-    _study("milling", study.mill_one, arguments, study, chosen, workers, out, json_file, stamp=stamp, asked=words)
+    _study(
+        "milling", study.mill_one, arguments, study, chosen, workers, out, json_file,
+        stamp=stamp, asked=words, cluster=cluster,
+    )  # fmt: skip
 
 
 def _study(
@@ -196,6 +207,7 @@ def _study(
     stamp: Mapping[str, str] | None = None,
     asked: Sequence[str] = (),
     beside: Callable[[], dict[str, float]] | None = None,
+    cluster: str | None = None,
 ) -> None:
     """Run every trial of a study, and tell its figures by recipe, beside the paper's.
 
@@ -211,6 +223,7 @@ def _study(
         stamp: what else makes the figures.
         asked: options that the figures are of, as they are written.
         beside: measures more figures of the default recipe, once the trials are done.
+        cluster: address of a Dask scheduler, in place of processes here.
     """
     from cli.reports.study_report import write_study_report
     from studies.tables import tables
@@ -226,6 +239,7 @@ def _study(
                 workers=workers,
                 progress=counter(bars, name),
                 stamp={**_stamp(chosen), **(stamp or {})},
+                cluster=cluster,
             )
     recipes = study.summary(trials)
     if beside is not None:

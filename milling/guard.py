@@ -60,6 +60,11 @@ class Guard:
             self.close()
             raise DeviceTimeoutError(f"supervisor: did not start within {START_S:g} s; is the machine overloaded?")
 
+    @property
+    def process_id(self) -> int:
+        """Of the supervisor."""
+        return self._process.pid
+
     def arm(self) -> None:
         """From now on silence stops the motion."""
         self._say(supervisor.ARM)

@@ -5,9 +5,11 @@ A trial must depend on its arguments alone, so that the same study gives the sam
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from importlib.metadata import version
 from multiprocessing import active_children
 from pathlib import Path
 from typing import Any, cast
@@ -23,6 +25,7 @@ Figures = dict[str, Any]
 Progress = Callable[[int, int], None]
 
 Z_95 = 1.959964
+CLUSTER_START_S = 10.0
 COUNT = 20
 """Worlds of an experiment that names no other number."""
 FIRST_SEED = 40_000_000
@@ -73,6 +76,7 @@ def run_trials(
     workers: int,
     progress: Progress,
     stamp: Mapping[str, str] | None = None,
+    cluster: str | None = None,
 ) -> dict[str, Figures]:
     """Run ``trial(*arguments[name])`` for each name, and keep what it tells as ``out/NAME.json``.
 
@@ -83,12 +87,13 @@ def run_trials(
         workers: processes.
         progress: called with the trials done and their number.
         stamp: what made the figures, such as versions and weights; a trial of another make is refused.
+        cluster: address of a Dask scheduler, whose workers run them in place of processes here.
 
     Returns:
         The figures of each trial, in the order of ``arguments``.
 
     Raises:
-        ConfigError: a file in ``out`` is not one of ours, or of another make.
+        ConfigError: a file in ``out`` is not one of ours, or of another make; no cluster, or one of another version.
     """
     made_by = dict(stamp or {})
     out.mkdir(parents=True, exist_ok=True)
@@ -99,7 +104,7 @@ def run_trials(
             _read(file, made_by)
     done = len(arguments) - len(missing)
     progress(done, len(arguments))
-    with ProcessPoolExecutor(workers) as pool:
+    with _executor(workers, cluster) as pool:
         running = {pool.submit(trial, *arguments[name]): name for name in missing}
         try:
             for ended in as_completed(running):
@@ -112,13 +117,52 @@ def run_trials(
                 done += 1
                 progress(done, len(arguments))
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
+            for waiting in running:
+                waiting.cancel()
+            pool.shutdown(wait=False)
             # A trial takes a minute, and some wait where nothing can cancel them; each leaves nothing but its scratch.
             for worker in active_children():
                 worker.kill()
                 worker.join()
             raise
     return {name: _read(file, made_by) for name, file in files.items()}
+
+
+def _executor(workers: int, cluster: str | None) -> AbstractContextManager[Executor]:
+    return ProcessPoolExecutor(workers) if cluster is None else _cluster(cluster)
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Executor]:
+    """The workers of a Dask scheduler.
+
+    Raises:
+        ConfigError: nobody there, or workers with another version of mill, or with none.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ConfigError("--cluster needs Dask: pip install 'micromill[cluster]'") from None
+    try:
+        client: Any = Client(address, timeout=CLUSTER_START_S, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"cluster {address}: no Dask scheduler answers there ({error})") from None
+    with client:
+        own = version("micromill")
+        try:
+            found = client.run(_own_version)
+        except ImportError as error:
+            raise ConfigError(f"cluster {address}: install mill {own} on its workers: {error}") from None
+        if not found:
+            raise ConfigError(f"cluster {address}: it has no workers; start some with `dask worker {address}`")
+        if others := {name: other for name, other in found.items() if other != own}:
+            raise ConfigError(f"cluster {address}: found other versions of mill on workers, {others}, needs {own}")
+        # A trial that falls is a trial: it is not to be run again elsewhere.
+        yield client.get_executor(pure=False, retries=0)
+
+
+def _own_version() -> str:
+    return version("micromill")
 
 
 def _read(file: Path, made_by: dict[str, str]) -> Figures:

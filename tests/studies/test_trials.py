@@ -6,9 +6,11 @@ import threading
 
 import numpy as np
 import pytest
+from distributed import LocalCluster
 
 from drivers.errors import ConfigError
-from studies.trials import rms_interval, run_trials
+from studies import trials
+from studies.trials import rms_interval, run_trials, share_of
 
 CALLS = "calls"
 
@@ -50,6 +52,40 @@ def test_a_failure_keeps_what_is_done_and_leaves_nothing_half_written(tmp_path):
     with pytest.raises(TypeError):
         run_trials(trial, {**arguments(tmp_path, (1,)), "wrong": (tmp_path, "x")}, out, workers=1, progress=silent)
     assert sorted(file.name for file in out.iterdir()) == ["trial-1.json"]
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Address of a scheduler with one worker process."""
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, scheduler_port=0) as found:
+        yield found.scheduler_address
+
+
+def test_a_cluster_runs_the_same_trials(cluster, tmp_path):
+    shares = {"trial-1": ("rate", 3, 4), "trial-2": ("rate", 0, 9)}
+    here = run_trials(share_of, shares, tmp_path / "here", workers=1, progress=silent)
+    there = run_trials(share_of, shares, tmp_path / "there", workers=1, progress=silent, cluster=cluster)
+    assert there == here
+    assert sorted(file.name for file in (tmp_path / "there").iterdir()) == ["trial-1.json", "trial-2.json"]
+
+
+def test_a_trial_that_falls_on_a_cluster_is_told_and_not_run_again(cluster, tmp_path):
+    with pytest.raises(TypeError):
+        run_trials(share_of, {"wrong": ("rate", "x", 1)}, tmp_path, workers=1, progress=silent, cluster=cluster)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere"])
+def test_a_cluster_that_is_not_there_is_named(address, tmp_path, monkeypatch):
+    monkeypatch.setattr(trials, "CLUSTER_START_S", 0.5)
+    with pytest.raises(ConfigError, match=f"cluster {address}: no Dask scheduler answers there"):
+        run_trials(share_of, {"t": ("rate", 1, 2)}, tmp_path, workers=1, progress=silent, cluster=address)
+
+
+def test_workers_with_another_version_are_refused(cluster, tmp_path, monkeypatch):
+    monkeypatch.setattr(trials, "version", lambda _: "99.0")
+    with pytest.raises(ConfigError, match=r"other versions of mill on workers.*needs 99\.0"):
+        run_trials(share_of, {"t": ("rate", 1, 2)}, tmp_path, workers=1, progress=silent, cluster=cluster)
 
 
 @pytest.mark.parametrize("text", ["{", "[1]", "{}", '{"made_by": {"tip.onnx": "other"}}'])
