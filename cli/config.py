@@ -37,6 +37,8 @@ class GrblMotion(Table):
     """How long a status report is waited for; three missed ones in a row stop the machine."""
     settings: dict[Annotated[str, Field(pattern=r"^\$?[0-9]+$")], Finite] = {}
     """Firmware settings that must read back as given, such as "$100" = 1000."""
+    firmware: str = ""
+    """What the firmware's version must begin with, such as "1.1h"."""
 
 
 class Cia402SpindleTable(Table):

@@ -126,7 +126,15 @@ def recorded(recorder: "Recorder", faults: "Sequence[Fault]", clock: "Clock") ->
 
 def rig_text(service: "BenchService", name: str) -> str:
     """The rig file of a served bench."""
-    from firmware_sim.bench import MAX_FEED_MM_S, MAX_SPEED_RPM, MECHANICAL_SETTINGS, NODE_ID, ORIGIN_MM, PARK_MM
+    from firmware_sim.bench import (
+        FIRMWARE,
+        MAX_FEED_MM_S,
+        MAX_SPEED_RPM,
+        MECHANICAL_SETTINGS,
+        NODE_ID,
+        ORIGIN_MM,
+        PARK_MM,
+    )
     from firmware_sim.optics import HEIGHT_PX, WIDTH_PX
 
     left, right = service.camera_urls
@@ -143,6 +151,7 @@ port = "{service.motion_port}"
 baud = 115200
 origin_mm = {_vector(ORIGIN_MM)}      # machine position of the origin of {{R}}
 max_feed_mm_s = {MAX_FEED_MM_S:g}
+firmware = "{FIRMWARE[service.bench.dialect]}"
 
 [motion.settings]                  # must read back like this
 {settings}

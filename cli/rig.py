@@ -120,6 +120,7 @@ def open_grbl(table: GrblMotion, clock: Clock) -> MotionController:
             origin_mm=table.origin_mm,
             max_feed_mm_per_s=table.max_feed_mm_s,
             expected_settings=table.settings,
+            expected_firmware=table.firmware,
             reply_s=table.reply_s,
         )
     except BaseException:

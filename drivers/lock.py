@@ -77,6 +77,18 @@ def owner_of(device: str) -> str | None:
     return None
 
 
+def holders_of(device: str) -> str:
+    """Which other processes have the device node open, "pid 123 (minicom)"; empty where none can be seen."""
+    node, own, found = os.path.realpath(device), str(os.getpid()), []
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if process.name != own and any(os.path.realpath(fd) == node for fd in (process / "fd").iterdir()):
+                words = (process / "cmdline").read_bytes().rstrip(b"\0").split(b"\0")
+                command = " ".join(word.decode(errors="replace") for word in words).replace("\n", " ")
+                found.append(f"pid {process.name} ({command[:200]})")
+    return ", ".join(found)
+
+
 def _open(path: Path) -> int:
     flags = os.O_RDWR | os.O_CLOEXEC
     with contextlib.suppress(FileNotFoundError):

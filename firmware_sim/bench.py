@@ -37,6 +37,8 @@ MECHANICAL_SETTINGS: Final[Mapping[str, float]] = {
 """What a host may expect to read back: limits and homing on, steps/mm, mm/min, mm/s2, mm of travel."""
 _COMMISSIONING: Final[Mapping[str, float]] = {"$1": 255, "$24": 120, "$25": 1200}
 """Motors that stay on at standstill (their release costs 25 ms a move, and holds nothing); homing feeds."""
+FIRMWARE: Final[Mapping[Dialect, str]] = {"gnea": "1.1h", "grblhal": "1.1f"}
+"""What the version of the motion board begins with."""
 _DIALECT_SETTINGS: Final[Mapping[Dialect, Mapping[str, float]]] = {"gnea": {"$10": 3}, "grblhal": {}}
 
 
@@ -56,6 +58,7 @@ class Bench:
     ) -> None:
         """A bench that was just switched on; without a specimen, one is drawn from ``seed``."""
         self.specimen = draw_specimen(seed) if specimen is None else specimen
+        self.dialect: Dialect = dialect
         self.machine = Machine(self.specimen)
         settings = {**MECHANICAL_SETTINGS, **_COMMISSIONING, **_DIALECT_SETTINGS[dialect]}
         self.board = GrblBoard(self.machine, dialect=dialect, settings=settings)
@@ -108,6 +111,11 @@ class Bench:
     def unplugged(self) -> bool:
         """Whether somebody has pulled the motion port's plug."""
         return self._sabotage is not None and self._sabotage.unplugged
+
+    @property
+    def port_held(self) -> bool:
+        """Whether another program has the motion port."""
+        return self._sabotage is not None and self._sabotage.port_held
 
     def _require_plug(self) -> None:
         if self.unplugged:

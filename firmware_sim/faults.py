@@ -32,6 +32,9 @@ class Kind:
     high: float = 0.0
     reach: bool = False
     """Whether ``:one``, ``:arc`` or ``:all`` may follow."""
+    word: str = ""
+    """What it is without a value, where its values are no numbers but match ``pattern``."""
+    pattern: str = ""
 
 
 CATALOGUE: Final[dict[str, Kind]] = {
@@ -50,12 +53,14 @@ CATALOGUE: Final[dict[str, Kind]] = {
     "serial.stall": Kind("the motion port is silent both ways"),
     "serial.latency": Kind("answers of the motion board are late", default=0.016, unit="s", low=0.001, high=1.0),
     "serial.unplug": Kind("the motion port is gone"),
+    "port.held": Kind("another program has the motion port"),
     "motion.alarm": Kind("the motion board raises an alarm", default=1, unit="", low=1, high=9),
     "motion.reset": Kind("the motion board restarts"),
     "motion.backlash": Kind("play of every axis", default=0.05, unit="mm", low=0.001, high=0.5),
     "motion.scale_x": Kind("X moves farther than told", default=1.01, unit="x", low=0.9, high=1.1),
     "motion.lost_steps": Kind("steps are lost on Z: the tip is lower than told", default=20, unit="", low=1, high=500),
     "motion.no_soft_limits": Kind("the board's soft limits are off"),
+    "motion.firmware": Kind("the board has another firmware version", word="1.1f", pattern=r"1\.1[a-z]"),
     "motion.settings_changed": Kind("a setting of the board differs from the rig file"),
     "can.drop": Kind("frames of the CAN bus are lost", default=0.02, unit="", low=1e-6, high=1.0),
     "can.bus_off": Kind("no frame passes any more"),
@@ -72,10 +77,11 @@ CATALOGUE: Final[dict[str, Kind]] = {
         "completion never reads more than this", place="host", default=0.7, unit="", low=0.05, high=0.99, reach=True
     ),
     "vision.high": Kind("completion reads as through from the beginning", place="host", reach=True),
-    "host.pause": Kind(
-        "the program that mills stands still once", place="host", default=0.4, unit="s", low=0.01, high=60.0
+    "host.stop": Kind(
+        "the program that mills stands still once", place="host", default=2.0, unit="s", low=0.01, high=60.0
     ),
-    "disk.full": Kind("the disk takes no more of the record", place="host"),
+    "host.hog": Kind("so many other programs want every core", place="host", default=6, unit="", low=1, high=64),
+    "disk.full": Kind("the disk takes no more of the record; `mill doctor` finds next to no room", place="host"),
     "disk.slow": Kind(
         "once a second the disk keeps the program waiting", place="host", default=0.3, unit="s", low=0.01, high=10.0
     ),
@@ -91,6 +97,7 @@ class Fault:
     reach: str
     after_s: float | None
     """Since the drill first turned; None: from the beginning."""
+    word: str = ""
 
     @property
     def kind(self) -> Kind:
@@ -98,7 +105,7 @@ class Fault:
         return CATALOGUE[self.name]
 
     def __str__(self) -> str:
-        value = f"={self.value:g}" if self.kind.unit is not None else ""
+        value = f"={self.value:g}" if self.kind.unit is not None else f"={self.word}" if self.word else ""
         reach = f"{':' if value else '='}{self.reach}" if self.kind.reach else ""
         return f"{self.name}{value}{reach}" + (f"@{self.after_s:g}s" if self.after_s is not None else "")
 
@@ -115,8 +122,12 @@ def parse_fault(text: str) -> Fault:
     if kind is None:
         near = [known for known in CATALOGUE if known.partition(".")[0] == name.partition(".")[0]] or list(CATALOGUE)
         raise ConfigError(f"fault {text!r}: no fault {name!r}; there are {', '.join(near)}")
-    number, reach = _split(text, kind, value) if equals else ("", "")
     after_s = _quantity(text, time, "s", 0.0, 86_400.0) if at else None
+    if kind.word:
+        if equals and not re.fullmatch(kind.pattern, value):
+            raise ConfigError(f"fault {text!r}: found {value!r}, needs a word such as {kind.word}")
+        return Fault(name, 0.0, "", after_s, value or kind.word)
+    number, reach = _split(text, kind, value) if equals else ("", "")
     amount = _quantity(text, number, kind.unit or "", kind.low, kind.high) if number else kind.default
     return Fault(name, amount, reach or ("all" if kind.reach else ""), after_s)
 
@@ -173,7 +184,7 @@ def markdown() -> str:
         "|---|---|---|---|",
     ]
     for name, kind in CATALOGUE.items():
-        value = "" if kind.unit is None else f"{kind.default:g}{'' if kind.unit == '%' else kind.unit}"
+        value = kind.word if kind.unit is None else f"{kind.default:g}{'' if kind.unit == '%' else kind.unit}"
         allowed = "" if kind.unit is None else f"{kind.low:g} to {kind.high:g}"
         reach = f"; `:{'`, `:'.join(REACHES)}` of the ring" if kind.reach else ""
         lines.append(f"| `{name}` | {kind.does} | {value} | {allowed}{reach} |")

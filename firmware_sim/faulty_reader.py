@@ -83,7 +83,7 @@ class _FaultyRing:
                 completion[:] = np.nan
             elif fault.name == "vision.slow":
                 self._clock.sleep_s(fault.value)
-            elif fault.name == "host.pause" and not self._paused:
+            elif fault.name == "host.stop" and not self._paused:
                 self._paused = True
                 self._clock.sleep_s(fault.value)
         return _Answer(completion, upper, np.asarray(reading.visible))

@@ -66,6 +66,10 @@ class GrblBoard:
         self._shown = (0.0, 0.0, 0.0)
         self._limits_pressed = False
 
+    def reflash(self, version: str) -> None:
+        """Another version of the same firmware, such as "1.1f", as far as it tells of it."""
+        self._program.version = version
+
     def commission(self, build_info: str) -> None:
         """What an installer leaves behind by ``$I=``: a text that tells this board from others of its make."""
         self._program.build_info = build_info

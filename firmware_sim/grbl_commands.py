@@ -128,10 +128,10 @@ def _store(program: "Program", text: str) -> None:
 
 def _say_build(program: "Program") -> None:
     if program.dialect.name == "gnea":
-        program.say(f"[VER:1.1h.20190830:{program.build_info}]")
+        program.say(f"[VER:{program.version or '1.1h'}.20190830:{program.build_info}]")
         program.say("[OPT:V,15,128]")
         return
-    program.say(f"[VER:1.1f.20260817:{program.build_info}]")
+    program.say(f"[VER:{program.version or '1.1f'}.20260817:{program.build_info}]")
     for line in ("OPT:VNML+,100,1024,3,0", "AXS:3:XYZ", "NEWOPT:ENUMS,RT+,TC,SED", "FIRMWARE:grblHAL", "SIGNALS:D"):
         program.say(f"[{line}]")
     for line in ("NVS STORAGE:*EEPROM", "DRIVER:Simulator", "DRIVER VERSION:260324"):

@@ -51,6 +51,8 @@ class Program:
         self.homes_mm: list[Point] = [(0.0, 0.0, 0.0)] * 2
         self.startup_lines = ["", ""]
         self.build_info = ""
+        self.version = ""
+        """That it tells in place of its own."""
         self.tool_mm: Point = (0.0, 0.0, 0.0)
         self.homed = False
         self.jog_cancels = 0

@@ -1,6 +1,7 @@
 """A serial port for other processes: the far end of a pseudo-terminal."""
 
 import contextlib
+import fcntl
 import os
 import pty
 import tty
@@ -39,6 +40,11 @@ class SerialPty:
         if self._pending:
             with contextlib.suppress(BlockingIOError):
                 del self._pending[: os.write(self._master, self._pending)]
+
+    def occupy(self) -> None:
+        """Have it open as another program does that wants it for itself alone (flock, as pyserial's exclusive mode)."""
+        with contextlib.suppress(BlockingIOError):
+            fcntl.flock(self._slave, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     @property
     def closed(self) -> bool:

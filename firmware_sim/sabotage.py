@@ -51,6 +51,11 @@ class Sabotage:
         self.advance_to(0.0)
 
     @property
+    def port_held(self) -> bool:
+        """Whether another program has the motion port."""
+        return "port.held" in self._begun
+
+    @property
     def unplugged(self) -> bool:
         """Whether the motion port is gone."""
         return "serial.unplug" in self._begun
@@ -63,7 +68,9 @@ class Sabotage:
         for fault in [fault for fault in self._waiting if self._is_due(fault)]:
             self._waiting.remove(fault)
             self._begun[fault.name] = fault
-            if (begin := _AT_ONCE.get(fault.name)) is not None:
+            if fault.name == "motion.firmware":
+                self._parts.board.reflash(fault.word)
+            elif (begin := _AT_ONCE.get(fault.name)) is not None:
                 begin(self._parts, fault.value)
 
     def _is_due(self, fault: Fault) -> bool:

@@ -68,6 +68,8 @@ class BenchService:
             _jpeg(picture)
         bench.truth()
         self._motion = SerialPty()
+        if bench.port_held:
+            self._motion.occupy()
         self._spindle = SerialPty()
         self._cameras = MjpegCameras(serial_number=bench.serial_number)
         self._ending = threading.Event()
@@ -152,6 +154,8 @@ class BenchService:
                 started_s += lag_s - LONGEST_LAG_S
                 self.skipped_s += lag_s - LONGEST_LAG_S
             bench.advance_to(min(clock.now_s() - started_s, bench.now_s + CATCH_UP_S))
+            if bench.port_held and not self._motion.closed:
+                self._motion.occupy()
             if not bench.unplugged:
                 self._motion.write(bench.transmit())
             self._spindle.write(bench.adapter.transmit())

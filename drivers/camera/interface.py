@@ -13,12 +13,16 @@ Image = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class StereoFrame:
-    """One pair of pictures: (H, W, 3) uint8 RGB each, the clock's time when exposure began, a running number."""
+    """One pair of pictures: (H, W, 3) uint8 RGB each, the clock's time when exposure began, a running number.
+
+    ``skew_s`` is how much earlier the left one's exposure began than the right one's.
+    """
 
     left: Image
     right: Image
     exposed_at_s: float
     index: int
+    skew_s: float = 0.0
 
 
 class StereoCamera(Device):

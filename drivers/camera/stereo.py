@@ -161,15 +161,15 @@ class StereoPair(StereoCamera):
         if self._latest is not None:
             exposed_after_s = max(exposed_after_s, self._latest.exposed_at_s)
         pairs = [
-            (min(left_s, right_s), left, right)
+            (min(left_s, right_s), left, right, right_s - left_s)
             for left, left_s in self._left.recent
             for right, right_s in self._right.recent
             if abs(left_s - right_s) <= self._max_skew_s and min(left_s, right_s) > exposed_after_s
         ]
         if not pairs:
             return None
-        exposed_at_s, left, right = max(pairs, key=lambda pair: pair[0])
-        self._latest = StereoFrame(left, right, exposed_at_s, self._count)
+        exposed_at_s, left, right, skew_s = max(pairs, key=lambda pair: pair[0])
+        self._latest = StereoFrame(left, right, exposed_at_s, self._count, skew_s)
         self._count += 1
         return self._latest
 

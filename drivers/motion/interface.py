@@ -1,6 +1,7 @@
 """What every motion controller promises. Positions are those of the drill tip in {R}: mm, z up."""
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -63,6 +64,11 @@ class MotionController(Device):
     @abstractmethod
     def identity(self) -> str:
         """Firmware, version and serial number, as far as known."""
+
+    @property
+    def settings(self) -> Mapping[str, float]:
+        """The firmware's own settings by name, as read when it was opened; empty where it has none."""
+        return {}
 
     @property
     @abstractmethod

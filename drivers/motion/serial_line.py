@@ -12,7 +12,7 @@ import select
 import serial
 
 from drivers.errors import ConnectionLostError, DeviceBusyError, DeviceError
-from drivers.lock import DeviceLock
+from drivers.lock import DeviceLock, holders_of
 
 _WRITE_S = 0.2
 _CHUNK = 4096
@@ -111,9 +111,8 @@ def open_serial(port: str, baud: int) -> PortLine:
 
 def _refusal(port: str, error: OSError) -> DeviceError:
     if error.errno in (errno.EAGAIN, errno.EBUSY):
-        return DeviceBusyError(
-            f"{port}: in use by another program that left no name; `fuser {port}` names it, then close that program"
-        )
+        holders = holders_of(port) or f"another program that cannot be seen; `sudo fuser {port}` names it"
+        return DeviceBusyError(f"{port}: in use by {holders}; close that program")
     return ConnectionLostError(_absent(port, error))
 
 

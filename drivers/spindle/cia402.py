@@ -27,11 +27,13 @@ from drivers.spindle.canopen_node import (
     RPDO1_ID,
     SYNC_ID,
     CanOpenNode,
+    Entry,
 )
 from drivers.spindle.cia402_profile import (
     DISABLE_VOLTAGE,
     ENABLE,
     ERROR_CODE,
+    ERROR_COUNT,
     FAULT_RESET,
     FAULTY,
     QUICK_STOP,
@@ -46,6 +48,7 @@ _TRANSITION_S = 1.0
 _STANDSTILL_S = 3.0
 _POLL_S = 0.01
 _STEP_S = 0.001
+_HISTORY = 8
 _ASK_AGAIN_S = 0.02
 _SPEED_TOLERANCE = 0.02
 _STANDSTILL_SHARE = 0.001
@@ -88,6 +91,7 @@ class Cia402Spindle(Spindle):
         self._state: DriveState | None = None
         self._target_reached = False
         self._closed = False
+        self._asked = 0
         self._node.on_wait = self._beat
         try:
             self._identity, self._max_speed_rpm = set_up_drive(self._node, max_speed_rpm, heartbeat_s)
@@ -109,6 +113,19 @@ class Cia402Spindle(Spindle):
     def heartbeat_s(self) -> float:
         """The longest silence of the host that leaves the drill turning."""
         return self._heartbeat_s
+
+    @property
+    def answers(self) -> tuple[int, int]:
+        """SYNCs sent and TPDOs received."""
+        self._node.pump()
+        return self._asked, self._node.reports
+
+    def past_faults(self) -> list[str]:
+        """Object 1003h, the pre-defined error field (CiA 301)."""
+        count = self._node.read_if_present(ERROR_COUNT) or 0
+        fields = [Entry(ERROR_COUNT.index, place, "I", "past error") for place in range(1, min(count, _HISTORY) + 1)]
+        codes = [self._node.read_if_present(field) for field in fields]
+        return [emergency.words(code & 0xFFFF) for code in codes if code is not None]
 
     def start(self, speed_rpm: float) -> None:
         """Enable the drive and let the drill run up; a turning drill changes its speed.
@@ -265,6 +282,7 @@ class Cia402Spindle(Spindle):
         before = node.reports
 
         def answered(limit_s: float) -> bool:
+            self._asked += 1
             node.send(SYNC_ID, b"")
             return node.wait(lambda: node.reports > before, limit_s)
 

@@ -37,6 +37,15 @@ class Spindle(Device):
     def heartbeat_s(self) -> float:
         """The longest silence of the host that leaves the drill turning."""
 
+    @property
+    def answers(self) -> tuple[int, int] | None:
+        """How often the drive was asked since opening, and how often it answered; None where the wire tells neither."""
+        return None
+
+    def past_faults(self) -> list[str]:
+        """The drive's own history of errors in words, newest first; empty where it keeps none."""
+        return []
+
     @abstractmethod
     def start(self, speed_rpm: float) -> None:
         """Set the speed and let the drill run up; refuses a speed outside the drive's limits (ConfigError)."""

@@ -59,7 +59,7 @@ def test_a_slow_disk_keeps_the_program_waiting_once_a_second() -> None:
 
 
 def test_other_families_are_not_its_business() -> None:
-    faulty, kept, clock = disk("vision.slow", "host.pause")
+    faulty, kept, clock = disk("vision.slow", "host.stop")
     faulty.event("load")
     faulty.frame("left", np.zeros((2, 2, 3), np.uint8))
     assert (kept.kinds, clock.now_s()) == (["load", "left"], 0.0)

@@ -46,7 +46,7 @@ def long(*values: str) -> object:
         long("spindle.emcy@20s", "spindle"),
         ("vision.nan@4s", "no sense"),
         long("vision.slow=400ms@4s", "heartbeat"),
-        ("host.pause=400ms@4s", "heartbeat"),
+        ("host.stop=400ms@4s", "heartbeat"),
         ("disk.full@20s", "No space left"),
         long("disk.slow=400ms@20s", "heartbeat"),
     ],

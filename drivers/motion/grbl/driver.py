@@ -59,6 +59,7 @@ class GrblController(MotionController):
         origin_mm: Vector,
         max_feed_mm_per_s: float,
         expected_settings: Mapping[str, float] | None = None,
+        expected_firmware: str = "",
         reply_s: float = REPLY_S,
     ) -> None:
         """Reset the controller, read who it is and how it is set, and refuse one that is set wrongly.
@@ -69,12 +70,13 @@ class GrblController(MotionController):
             origin_mm: where the controller's machine coordinates put the origin of {R}.
             max_feed_mm_per_s: the highest feed that ``start_move`` takes.
             expected_settings: settings such as "$100" that must read back as given.
+            expected_firmware: what its version must begin with, such as "1.1h".
             reply_s: how long each status report is waited for; three missed ones in a row are an error.
 
         Raises:
             DeviceTimeoutError: no GRBL controller answers.
             ProtocolError: something answers that does not speak GRBL 1.1.
-            ConfigError: a setting is not as the rig file or mill needs it.
+            ConfigError: firmware or a setting is not as the rig file or mill needs it.
         """
         self._clock = clock
         self._max_feed_mm_per_s = max_feed_mm_per_s
@@ -88,7 +90,7 @@ class GrblController(MotionController):
         self._closed = False
         try:
             self._session.reset_and_release(self._session.halts)
-            self._limits = SoftLimits(self._session, origin_mm, expected_settings or {})
+            self._limits = SoftLimits(self._session, origin_mm, expected_settings or {}, expected_firmware)
             self._planner_blocks = self._session.query().blocks_free or 0
             if self._planner_blocks < 2:
                 raise ProtocolError(
@@ -102,6 +104,11 @@ class GrblController(MotionController):
     def identity(self) -> str:
         """Firmware, version, and the text that the owner stored with ``$I=``."""
         return self._limits.info.identity
+
+    @property
+    def settings(self) -> Mapping[str, float]:
+        """All ``$`` settings, with the travel of Z in full where a floor has shortened it."""
+        return {f"${number}": value for number, value in sorted(self._limits.full_settings.items())}
 
     @property
     def travel(self) -> Travel:

@@ -15,7 +15,9 @@ _STEP_MM = machine.RESOLUTION_MM
 class SoftLimits:
     """Where a controller lets its axes go, in {R}, and by which settings."""
 
-    def __init__(self, session: GrblSession, origin_mm: Vector, expected: Mapping[str, float]) -> None:
+    def __init__(
+        self, session: GrblSession, origin_mm: Vector, expected: Mapping[str, float], firmware: str = ""
+    ) -> None:
         """Read who the controller is and how it is set; refuse one that is set wrongly.
 
         Written are ``$10`` where 1.1h does not report what mill needs, and the travel of Z where a host that was killed
@@ -23,18 +25,29 @@ class SoftLimits:
 
         Raises:
             ProtocolError: it does not speak GRBL 1.1.
-            ConfigError: a setting is not as ``expected`` or as mill needs it.
+            ConfigError: the version does not begin with ``firmware``, or a setting is not as ``expected`` or as mill
+                needs it.
         """
         self._session = session
         self._origin_mm = origin_mm
         replies = session.command("$I", 2.0)
         self.info = protocol.build_info([reply for reply in replies if isinstance(reply, protocol.Feedback)])
+        if not self.info.version.startswith(firmware):
+            raise ConfigError(
+                f"{session.name}: firmware version {self.info.version} found, the rig file expects {firmware}; is this "
+                "the right controller? If so, correct [motion] firmware, calibrate and run `mill doctor` again"
+            )
         self.settings = self._read()
         self._check_expected(expected)
         if (mask := machine.report_mask_to_write(self.settings, self.info)) is not None:
             self._write(machine.REPORT_MASK, mask)
         machine.check_required(session.name, self.settings, self.info)
         self._full_travel_mm = self.settings[machine.FLOOR_SETTING]
+
+    @property
+    def full_settings(self) -> machine.Settings:
+        """All settings, as without a floor."""
+        return {**self.settings, machine.FLOOR_SETTING: self._full_travel_mm}
 
     @property
     def travel(self) -> Travel:
@@ -68,8 +81,7 @@ class SoftLimits:
             ConfigError: Z homes at its low end.
         """
         name = self._session.name
-        full = {**self.settings, machine.FLOOR_SETTING: self._full_travel_mm}
-        span = machine.span_of(2, full, self.info)
+        span = machine.span_of(2, self.full_settings, self.info)
         if span.homes_low:
             raise ConfigError(
                 f"{name}: setting ${machine.HOMING_DIRECTION} lets Z home at its low end, where its travel setting "
