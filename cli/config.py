@@ -117,6 +117,20 @@ class CalibrationTable(Table):
     """A rig that was left alone for longer is calibrated again before it mills."""
 
 
+class CertificateTable(Table):
+    """What `mill doctor` must have found before `mill run` mills."""
+
+    required: bool = True
+    max_age_h: Positive = 168.0
+    hold_ms: Positive = 250.0
+    round_trip_ms: Positive = 50.0
+    frame_age_ms: Positive = 100.0
+    spindle_stop_s: Positive = 3.0
+    backlash_mm: Positive = 0.025
+    scale: Positive = 0.005
+    free_disk_mb: Positive = 1000.0
+
+
 class WeightsTable(Table):
     """Networks in place of mill's own, as `mill train` writes them; paths count from the rig file."""
 
@@ -137,6 +151,7 @@ class RigConfig(BaseModel):
     tool: ToolTable = ToolTable()
     bench: BenchTable = BenchTable()
     calibration: CalibrationTable = CalibrationTable()
+    certificate: CertificateTable = CertificateTable()
     weights: WeightsTable = WeightsTable()
     job: dict[str, Any] = {}
     """Checked by milling.job, which knows the limits of a job."""

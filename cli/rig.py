@@ -8,7 +8,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -169,10 +169,10 @@ def open_opencv(table: OpenCvCamera, clock: Clock) -> StereoCamera:
 
 
 @contextlib.contextmanager
-def rig_for(chosen: BenchChoice, *, reads_completion: bool = False) -> Iterator[Rig]:
+def rig_for(chosen: BenchChoice, *, plants: Collection[str] = ()) -> Iterator[Rig]:
     """The rig of a file, or a virtual bench that lives as long as the with-statement.
 
-    ``reads_completion`` says that the command plants the faults of its own networks itself.
+    ``plants`` names the families of faults that the command itself plants, on its own side.
 
     Raises:
         click.UsageError: neither or both were asked for.
@@ -188,8 +188,8 @@ def rig_for(chosen: BenchChoice, *, reads_completion: bool = False) -> Iterator[
         yield WiredRig(load_rig(chosen.rig_file), SystemClock())
         return
     planted, own = sorted_faults(chosen.faults)
-    if own and not reads_completion:
-        raise click.UsageError(f"--fault {own[0]}: belongs to `mill run --emulate`, which reads completion")
+    if others := [fault for fault in own if fault.name.partition(".")[0] not in plants]:
+        raise click.UsageError(f"--fault {others[0]}: belongs to `mill run --emulate`, which mills")
     with _served_bench(chosen.specimen, chosen.seed, [str(fault) for fault in planted]) as rig:
         yield rig
 

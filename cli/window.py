@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.calibrate import calibrate_rig, calibration_path, rig_identity
+from cli.doctor import CERTIFICATES
 from cli.emulate import recorded, sorted_faults, spoiled
 from cli.options import BenchChoice
 from cli.output import console_beside, write_json
@@ -54,6 +55,7 @@ def mill_window(asked: Window) -> None:
     from calib.calibration_file import Calibration
     from cli.progress import watched
     from cli.score import Scorer
+    from doctor.certificate import require
     from milling import loop
     from milling.loop import Finders
     from milling.record import RunRecorder
@@ -69,7 +71,7 @@ def mill_window(asked: Window) -> None:
     folder = asked.record or Path("runs") / datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
     if (folder / "events.jsonl").exists():
         raise ConfigError(f"{folder}: holds a run already, which is kept; name another --record folder")
-    with _stop_signals() as stop_requested, rig_for(chosen, reads_completion=True) as bench:
+    with _stop_signals() as stop_requested, rig_for(chosen, plants=("vision", "host", "disk")) as bench:
         own = bench.config.weights
         tip, landmarks = TipFinder.load(own.tip), LandmarkFinder.load(own.landmarks)
         completion = CompletionReader.load(own.completion)
@@ -89,6 +91,10 @@ def mill_window(asked: Window) -> None:
             closed_in_the_end(bench.open_motion(), while_closing) as motion,
         ):
             identity = rig_identity(bench, motion, camera, spindle.identity)
+            certified = bench.config.certificate
+            if certified.required and not chosen.emulate:
+                devices = (motion.identity, spindle.identity, camera.identity)
+                require(CERTIFICATES, devices, motion.settings, max_age_h=certified.max_age_h, now=age["now"])
             if known is None:
                 console.print("homing")
                 motion.home()

@@ -6,7 +6,7 @@ One run per mouse, with full pixels and the shipped networks, branched at ``--ki
 and its end. In a branch nothing of the host moves any more: the motion board runs out of what is queued, the drive
 misses the host. Every other record is torn in its last line, as a kill within a write leaves it. Then a second run
 resumes the window from the record, or says why not. A kill that leaves one of the two alive takes real processes:
-``tests/cli/test_real_processes.py`` and ``benchmarks/killed_processes.py``.
+``tests/cli/test_real_processes.py`` and ``studies.killed_processes.py``.
 """
 
 import argparse

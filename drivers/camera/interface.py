@@ -15,7 +15,8 @@ Image = npt.NDArray[np.uint8]
 class StereoFrame:
     """One pair of pictures: (H, W, 3) uint8 RGB each, the clock's time when exposure began, a running number.
 
-    ``skew_s`` is how much earlier the left one's exposure began than the right one's.
+    ``skew_s`` is how much earlier the left one's exposure began than the right one's. ``lag_s`` is how much older than
+    the newest picture of the one eye that of the other was when they were paired: an eye that is always late.
     """
 
     left: Image
@@ -23,6 +24,7 @@ class StereoFrame:
     exposed_at_s: float
     index: int
     skew_s: float = 0.0
+    lag_s: float = 0.0
 
 
 class StereoCamera(Device):

@@ -169,7 +169,10 @@ class StereoPair(StereoCamera):
         if not pairs:
             return None
         exposed_at_s, left, right, skew_s = max(pairs, key=lambda pair: pair[0])
-        self._latest = StereoFrame(left, right, exposed_at_s, self._count, skew_s)
+        self._left.look()
+        self._right.look()
+        lag_s = abs(self._left.last_s - self._right.last_s)
+        self._latest = StereoFrame(left, right, exposed_at_s, self._count, skew_s, lag_s)
         self._count += 1
         return self._latest
 

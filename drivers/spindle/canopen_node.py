@@ -33,6 +33,9 @@ HEARTBEAT_ID = 0x700
 _Result = TypeVar("_Result")
 
 _SDO_LIMIT_S = 0.5
+_SDO_TRIES = 3
+"""A bus that loses a frame now and then is for `mill doctor` to tell of, and no reason not to open; an object may be
+read or written again."""
 _POKE_S = 0.1
 _SLICE_S = 0.01
 """The longest single wait for a frame, so that what falls due in the meantime is done."""
@@ -258,13 +261,18 @@ class CanOpenNode:
         return data
 
     def _call(self, entry: Entry, transfer: Callable[[], _Result], limit_s: float) -> _Result:
-        self._answer_limit_s = limit_s
-        try:
-            return transfer()
-        except canopen.SdoCommunicationError as error:
-            if self._answered:
-                raise ProtocolError(f"{self.name}: wrong SDO answer for {entry} ({error})") from error
-            raise DeviceTimeoutError(f"{self.name}: no SDO answer for {entry} within {limit_s:g} s") from error
+        self._answer_limit_s = limit_s / _SDO_TRIES
+        for left in range(_SDO_TRIES - 1, -1, -1):
+            try:
+                return transfer()
+            except canopen.SdoCommunicationError as error:
+                if self._answered:
+                    raise ProtocolError(f"{self.name}: wrong SDO answer for {entry} ({error})") from error
+                if not left:
+                    raise DeviceTimeoutError(
+                        f"{self.name}: no SDO answer for {entry} within {limit_s:g} s, asked {_SDO_TRIES} times"
+                    ) from error
+        raise AssertionError("not reached")
 
     def _exchange(self, request: bytes) -> None:
         initiates = request[0] & 0xE0 in (0x20, 0x40)

@@ -24,6 +24,7 @@ from calib.calibration_file import Calibration, Provenance, RigIdentity
 from calib.camera_fit import fit_camera_pair
 from cli.config import load_rig
 from cli.rig import WiredRig
+from doctor.certificate import Certificate, require
 from drivers.clock import SystemClock
 from drivers.lock import owner_of
 from drivers.motion.grbl.driver import GrblController
@@ -70,8 +71,9 @@ def test_pictures_are_collected_with_the_state_of_the_devices(
 
 
 def test_doctor_passes_and_every_check_says_what_it_is(
-    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     results = tmp_path / "doctor.json"
     code = mill("doctor", "--rig", str(bench), "--json", str(results))
     report = json.loads(results.read_text())
@@ -81,8 +83,29 @@ def test_doctor_passes_and_every_check_says_what_it_is(
     for check in report["checks"]:
         assert set(check) == {"name", "value", "unit", "limit", "verdict"}
     names = {check["name"] for check in report["checks"]}
-    assert {"motion: hold to standstill", "spindle: speed after host silence", "camera: fresh pairs"} <= names
+    told = {"motion: hold to standstill", "spindle: speed after host silence", "camera: pairs per second"}
+    assert told | {"stage: backlash of X", "computer: free disk"} <= names
     assert "every check passed" in capsys.readouterr().out
+    certificate = Certificate.load(tmp_path / report["certificate"])
+    assert certificate.settings["$100"] == 1000
+    assert certificate.calibration is not None
+    assert "Certified" in (tmp_path / report["report"]).read_text()
+    there = (certificate.motion, certificate.spindle, certificate.camera)
+    require(tmp_path / "certificates", there, certificate.settings, max_age_h=1.0, now=datetime.now(UTC))
+
+
+def test_a_run_asks_for_a_certificate_of_these_devices(
+    bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rig, calibration = tmp_path / "rig.toml", tmp_path / "calibration.toml"
+    rig.write_text(bench.read_text().replace("required = false", "required = true"))
+    calibration_of_another_rig(datetime.now(UTC)).save(calibration)
+    assert mill("run", "--rig", str(rig), "--calibration", str(calibration)) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "no certificate of these devices; run `mill doctor --rig FILE` first" in said
+    assert not (tmp_path / "runs").exists()
 
 
 def test_jog_homes_and_goes_where_it_is_told(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -119,7 +142,10 @@ def failed_checks(results: Path) -> dict[str, str]:
     return {check["name"]: check["value"] for check in checks if check["verdict"] == "fail"}
 
 
-def test_doctor_finds_a_controller_that_is_not_set_as_the_rig_file_says(bench: Path, tmp_path: Path) -> None:
+def test_doctor_finds_a_controller_that_is_not_set_as_the_rig_file_says(
+    bench: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     rig, results = tmp_path / "rig.toml", tmp_path / "doctor.json"
     rig.write_text(bench.read_text().replace('"$101" = 1000', '"$101" = 800'))
     assert mill("doctor", "--rig", str(rig), "--no-motion", "--json", str(results)) == 1
@@ -129,7 +155,8 @@ def test_doctor_finds_a_controller_that_is_not_set_as_the_rig_file_says(bench: P
         assert part in words
 
 
-def test_doctor_finds_soft_limits_off(bench: Path, tmp_path: Path) -> None:
+def test_doctor_finds_soft_limits_off(bench: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     rig, results = tmp_path / "rig.toml", tmp_path / "doctor.json"
     rig.write_text(bench.read_text().replace('"$20" = 1\n', ""))
     write_setting(bench, b"$20=0")

@@ -45,7 +45,9 @@ REFUSALS: list[tuple[str, str, type[Exception], str]] = [
 @pytest.mark.parametrize(("row", "by", "error", "words"), REFUSALS)
 def test_a_drive_that_is_not_right_is_refused_by_object(row: str, by: str, error: type[Exception], words: str) -> None:
     rows = OPENING[: OPENING.index(row)] + by
-    bus = ScriptedBus(HandClock(), rows, always="601 80 00 00 00 00 00 04 05")
+    # What is not answered is asked again, with the same answer.
+    always = "601 80 00 00 00 00 00 04 05\n601 40 17 10 00 00 00 00 00 > 581 43 17 10 00 7D"
+    bus = ScriptedBus(HandClock(), rows, always=always)
     with pytest.raises(error, match=words):
         Cia402Spindle(bus, bus.clock, node_id=1, max_speed_rpm=60_000)
     assert not bus.rows

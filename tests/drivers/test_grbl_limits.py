@@ -8,7 +8,7 @@ from drivers.errors import ConfigError, DeviceFaultError, OutOfTravelError
 
 def test_what_the_rig_file_expects_is_compared_and_named() -> None:
     bench = Bench("gnea", SETTINGS)
-    with pytest.raises(ConfigError, match=r"\$130 is 35, the rig file expects 36"):
+    with pytest.raises(ConfigError, match=r"\$130 \(travel of X\) is 35, the rig file expects 36"):
         bench.open({"$132": 28, "$130": 36})
     with pytest.raises(ConfigError, match=r"no setting \$999"):
         bench.open({"$999": 1})
@@ -87,10 +87,10 @@ def test_the_floor_of_a_host_that_was_killed_does_not_stay(on_wire: Wired) -> No
     again.home()
     assert again.travel.low_mm[2] == pytest.approx(-8.0)
     again.set_floor(0.0)
-    with pytest.raises(ConfigError, match=r"\$130 is 35, the rig file expects 36"):
+    with pytest.raises(ConfigError, match=r"\$130 \(travel of X\) is 35, the rig file expects 36"):
         bench.open({"$132": 28, "$130": 36})
     # The refusal wrote nothing.
-    with pytest.raises(ConfigError, match=r"\$132 is 20, the rig file expects 19"):
+    with pytest.raises(ConfigError, match=r"\$132 \(travel of Z\) is 20, the rig file expects 19"):
         bench.open({"$132": 19, "$130": 35})
 
 

@@ -39,6 +39,14 @@ class Span:
         return self.low_margin_mm - low_mm
 
 
+_NAMES = {
+    1: "release of the motors", 3: "direction of the axes", 10: "status reports", 11: "junction deviation",
+    13: "reports in inches", 20: "soft limits", 21: "hard limits", 22: "homing", 23: "direction of homing",
+    24: "homing feed", 25: "homing seek", 27: "pull-off after homing", 32: "laser mode",
+}  # fmt: skip
+_OF_AXES = {10: "steps per mm", 11: "greatest rate", 12: "acceleration", 13: "travel"}
+
+
 def number_of(name: str) -> int:
     """``"$130"`` or ``"130"`` as a setting's number.
 
@@ -61,13 +69,23 @@ def check_expected(line: str, settings: Settings, expected: Mapping[str, float])
         number = number_of(name)
         found = settings.get(number)
         if found is None:
-            raise ConfigError(f"{line}: the controller has no setting ${number}; the rig file expects {value:g}")
+            raise ConfigError(f"{line}: the controller has no setting {titled(number)}; the rig file expects {value:g}")
         # The firmware keeps single precision and prints three decimals.
         if not math.isclose(found, value, rel_tol=1e-6, abs_tol=5.1e-4):
             raise ConfigError(
-                f"{line}: setting ${number} is {found:g}, the rig file expects {value:g}; is this the right "
+                f"{line}: setting {titled(number)} is {found:g}, the rig file expects {value:g}; is this the right "
                 f"controller? If so, correct [motion.settings] or write ${number}={value:g} into the controller"
             )
+
+
+def titled(number: int) -> str:
+    """A setting with its meaning, "$20 (soft limits)"."""
+    name = _NAMES.get(number) or (
+        f"{_OF_AXES[number // 10]} of {AXES[number % 10]}"
+        if number % 10 < len(AXES) and number // 10 in _OF_AXES
+        else ""
+    )
+    return f"${number} ({name})" if name else f"${number}"
 
 
 def travel_to_restore(settings: Settings, expected: Mapping[str, float]) -> float | None:

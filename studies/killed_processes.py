@@ -1,6 +1,6 @@
 """The program that mills, its supervisor, or both are killed by SIGKILL while the tip runs: when tip and drill stand.
 
-    python -m benchmarks.killed_processes --kills 60 --json FILE
+    python -m studies.killed_processes --kills 60 --json FILE
 
 Real processes on the wires of a served bench: one runs the tip round a circle in short segments with the loop's own
 hands and supervisor, in the air; the bench's own truth is read every millisecond. A third of the kills takes the
@@ -9,13 +9,13 @@ does, the motion board runs out of what is queued, and the drive misses its host
 """
 
 import argparse
+import contextlib
 import json
 import os
 import select
 import signal
 import subprocess
 import sys
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import cos, pi, sin
@@ -24,13 +24,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from cli.config import load_rig
-from cli.emulate import rig_text
-from cli.rig import WiredRig
 from drivers.clock import SystemClock
 from drivers.errors import MillError
+from drivers.motion.grbl.driver import GrblController
+from drivers.motion.serial_line import open_serial
 from drivers.recorder import NullRecorder
-from firmware_sim.bench import Bench
+from drivers.spindle.canbus import open_bus
+from drivers.spindle.cia402 import Cia402Spindle
+from firmware_sim.bench import MAX_FEED_MM_S, MAX_SPEED_RPM, MECHANICAL_SETTINGS, NODE_ID, ORIGIN_MM, Bench
 from firmware_sim.cia402_drive import State
 from firmware_sim.serve import BenchService
 from firmware_sim.specimen import draw_specimen
@@ -40,6 +41,8 @@ from milling.laps import QUEUED_S
 from milling.latch import Latch, Reaction
 
 VICTIMS: Final = ("program", "supervisor", "both")
+BAUD: Final = 115_200
+BITRATE: Final = 1_000_000
 SPEED_RPM: Final = 45_000.0
 FEED_MM_S: Final = 5.0
 SEGMENT_S: Final = 0.04
@@ -52,11 +55,21 @@ STANDS_RPM: Final = 100.0
 START_S: Final = 90.0
 
 
-def run_circles(rig_file: Path, center_mm: tuple[float, float, float]) -> None:
+def run_circles(motion_port: str, spindle_port: str, center_mm: tuple[float, float, float]) -> None:
     """The program that is killed: circles until something fails, then a lift."""
     clock = SystemClock()
-    rig = WiredRig(load_rig(rig_file), clock)
-    with rig.open_spindle() as spindle, rig.open_motion() as motion:
+    with (
+        Cia402Spindle(
+            open_bus("slcan", spindle_port, BITRATE), clock, node_id=NODE_ID, max_speed_rpm=MAX_SPEED_RPM
+        ) as spindle,
+        GrblController(
+            open_serial(motion_port, BAUD),
+            clock,
+            origin_mm=ORIGIN_MM,
+            max_feed_mm_per_s=MAX_FEED_MM_S,
+            expected_settings=MECHANICAL_SETTINGS,
+        ) as motion,
+    ):
         path = motion.stop_path
         assert path is not None
         with Guard(path, clock) as guard:
@@ -95,6 +108,7 @@ class _Killer:
     kills: int
     rng: np.random.Generator
     results: list[dict[str, Any]] = field(default_factory=list)
+    ended_by_themselves: int = 0
     _program: "subprocess.Popen[str] | None" = None
     _supervisor: int = 0
     _kill_at_s: float | None = None
@@ -121,7 +135,11 @@ class _Killer:
             elif now_s > self._deadline_s:
                 raise RuntimeError(f"the program ran no circles within {START_S:g} s")
         elif self._killed_s is None:
-            if now_s >= self._kill_at_s:
+            if self._program.poll() is not None:
+                # Nobody has killed it: the load of this machine may have kept it from giving signs of life.
+                self.ended_by_themselves += 1
+                self._program, self._kill_at_s = None, None
+            elif now_s >= self._kill_at_s:
                 self._kill()
                 self._killed_s = self.bench.now_s
         else:
@@ -140,7 +158,8 @@ class _Killer:
     def _kill(self) -> None:
         assert self._program is not None
         if self._victim in ("supervisor", "both"):
-            os.kill(self._supervisor, signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._supervisor, signal.SIGKILL)
         if self._victim in ("program", "both"):
             self._program.kill()
 
@@ -171,15 +190,14 @@ def measure(kills: int, seed: int) -> dict[str, Any]:
     """Serve a bench and kill what runs on it; the worst times by victim."""
     bench = Bench(draw_specimen(seed))
     x, y, z = bench.specimen.skull.center_mm
-    with tempfile.TemporaryDirectory() as folder, BenchService(bench) as service:
-        rig_file = Path(folder) / "rig.toml"
-        rig_file.write_text(rig_text(service, "killed processes"), encoding="utf-8")
-        place = [str(value) for value in (x, y, z + ABOVE_MM)]
-        command = [sys.executable, "-m", "benchmarks.killed_processes", "--circles", str(rig_file), *place]
+    with BenchService(bench) as service:
+        where = [service.motion_port, service.spindle_port, *(f"{value:.6f}" for value in (x, y, z + ABOVE_MM))]
+        command = [sys.executable, "-m", "studies.killed_processes", "--circles", *where]
         killer = _Killer(bench, command, kills, np.random.default_rng(seed))
         service.run(killer.look)
         skipped_s = service.skipped_s
     figures: dict[str, Any] = {"command": "killed processes", "kills": kills, "bench_skipped_s": skipped_s}
+    figures["ended_by_themselves"] = killer.ended_by_themselves
     for victim in VICTIMS:
         mine = [result for result in killer.results if result["killed"] == victim]
         if mine:
@@ -200,11 +218,11 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--kills", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--circles", nargs=4, help=argparse.SUPPRESS)
+    parser.add_argument("--circles", nargs=5, help=argparse.SUPPRESS)
     given = parser.parse_args(words)
     if given.circles:
-        x, y, z = (float(value) for value in given.circles[1:])
-        run_circles(Path(given.circles[0]), (x, y, z))
+        x, y, z = (float(value) for value in given.circles[2:])
+        run_circles(given.circles[0], given.circles[1], (x, y, z))
         return
     figures = measure(given.kills, given.seed)
     for name, value in figures.items():

@@ -1,0 +1,63 @@
+"""One examination as one page: verdict, what failed and what to do, then every figure beside its limit."""
+
+import re
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from cli.reports.template import filled
+from doctor.certificate import Certificate
+from doctor.check import Check
+
+_BAR_PERCENT = 100.0
+
+
+def write_doctor_report(
+    path: Path,
+    rig: str,
+    checks: Sequence[Check],
+    devices: tuple[str, str, str],
+    earlier: Certificate | None,
+    now: datetime,
+    *,
+    certified: bool,
+) -> None:
+    """Write a self-contained page to ``path``."""
+    groups = dict.fromkeys(check.name.partition(":")[0] for check in checks)
+    page = filled(
+        "doctor_report.html",
+        rig=rig,
+        date=now.isoformat(timespec="seconds"),
+        devices=devices,
+        earlier=earlier,
+        certified=certified,
+        failed=[_row(check, earlier) for check in checks if not check.passed],
+        count=len(checks),
+        groups={group: [_row(c, earlier) for c in checks if c.name.startswith(f"{group}:")] for group in groups},
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(page, encoding="utf-8")
+
+
+def _row(check: Check, earlier: Certificate | None) -> dict[str, Any]:
+    number = isinstance(check.value, float)
+    before = earlier.figures.get(check.name) if earlier is not None else None
+    return {
+        "name": check.name.partition(": ")[2],
+        "full_name": check.name,
+        "value": f"{check.value:.4g} {check.unit}" if number else str(check.value),
+        "limit": f"{check.limit} {check.unit if number else ''}",
+        "before": "" if before is None else f"{before:.4g}",
+        "passed": check.passed,
+        "advice": check.advice,
+        "share": _share(check),
+    }
+
+
+def _share(check: Check) -> float | None:
+    """How much of its limit a figure uses up, in per cent; None where there is no upper limit."""
+    found = re.fullmatch(r"at most ([-\d.e+]+)", check.limit)
+    if found is None or not isinstance(check.value, float) or float(found[1]) <= 0:
+        return None
+    return min(_BAR_PERCENT, _BAR_PERCENT * max(0.0, check.value) / float(found[1]))

@@ -1,0 +1,62 @@
+"""The doctor on benches that are well, and on benches with planted faults; on the virtual clock."""
+
+import re
+
+import pytest
+
+from doctor.certificate import Certificate
+from doctor.check import Check
+from studies.doctor_trials import NAMED, examined, named, summary
+
+
+@pytest.fixture(scope="module")
+def well() -> tuple[list[Check], Certificate]:
+    return examined(11, (), None)
+
+
+def findings(faults: tuple[str, ...], earlier: Certificate) -> list[str]:
+    checks, _ = examined(11, faults, earlier)
+    return [named(check) for check in checks if not check.passed]
+
+
+def test_a_bench_that_is_well_passes_with_and_without_a_certificate(well: tuple[list[Check], Certificate]) -> None:
+    checks, certificate = well
+    assert [check for check in checks if not check.passed] == []
+    assert certificate.settings["$100"] == 1000
+    assert certificate.calibration is not None
+    assert findings((), certificate) == []
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        ("serial.latency=16ms", "camera.skew=40ms", "can.drop=0.02", "disk.full"),
+        ("motion.firmware=1.1f", "spindle.no_consumer", "camera.exposure=2x"),
+        ("motion.backlash=0.05mm", "motion.scale_x=1.01"),
+    ],
+    ids=lambda faults: "+".join(fault.partition("=")[0] for fault in faults),
+)
+def test_faults_at_once_are_each_found_by_name(well: tuple[list[Check], Certificate], faults: tuple[str, ...]) -> None:
+    told = findings(faults, well[1])
+    for fault in faults:
+        assert any(re.search(NAMED[fault], finding) for finding in told), (fault, told)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("fault", NAMED)
+def test_each_fault_is_found_by_name(well: tuple[list[Check], Certificate], fault: str) -> None:
+    told = findings((fault,), well[1])
+    assert any(re.search(NAMED[fault], finding) for finding in told), told
+
+
+def test_the_summary_counts_what_was_found_and_what_was_not() -> None:
+    rows = [
+        {"seed": 0, "fault": "", "failed": []},
+        {"seed": 0, "fault": "again", "failed": ["motion: x"]},
+        {"seed": 0, "fault": "disk.full", "failed": ["computer: free disk: 12 MB"]},
+        {"seed": 1, "fault": "disk.full", "failed": []},
+    ]
+    figures = summary(rows)
+    assert figures["well"] == {"examinations": 2, "false_alarms": 1}
+    assert figures["false_alarms_told"] == ["motion: x"]
+    assert figures["faults"] == {"disk.full": {"examinations": 2, "found": 1}}
