@@ -14,11 +14,11 @@ def fault_table(result: Figures) -> list[str]:
     lines = [
         "## Every fault in four phases of a run",
         "",
-        f"`python -m studies.fault_table --seeds {seeds} --out DIR --json FILE`: each fault begins amidst the contacts,",
-        "in the first laps, where points are nearly through, and at the look; mice with full pixels. Membranes touched:",
-        f"{touched} in {branches} branches. Lower after latch is how far the tip went down once the failure was latched.",
-        "Overrun is depth below what was ever permitted there, of the axes as commanded and of the tip with run-out",
-        "and play.",
+        f"`python -m studies.fault_table --seeds {seeds} --out DIR --json FILE`: each fault begins amidst the contacts",
+        "in one branch, in others in the first laps, where points are nearly through, and at the look; full pixels.",
+        f"Membranes touched: {touched} in {branches} branches. Lower after latch is how far the tip went down once the",
+        "failure was latched; overrun is depth below what was ever permitted there: of the axes as commanded, and of",
+        "the tip with run-out and play.",
         "",
         "| fault | branches | complete | held | aborted | false completes | latched after, s | safe after latch, s "
         "| lower after latch, um | overrun, commanded, um | overrun, tip, um |",
