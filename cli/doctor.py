@@ -123,9 +123,8 @@ def _words(error: Exception) -> str:
 
 
 def _show(console: Any, check: "Check") -> None:
-    value = f"{check.value:.4g}" if isinstance(check.value, float) else check.value
     mark = "[green]pass[/]" if check.passed else "[bold red]FAIL[/]"
-    line = f"{mark}  {check.name:<38} {value} {check.unit:<6} [dim]{check.limit}[/]"
+    line = f"{mark}  {check.name:<40} {check.shown}  [dim]{check.limit}[/]"
     console.print(line, highlight=False, soft_wrap=True)
     if check.advice and not check.passed:
         console.print(f"      {check.advice}", highlight=False, soft_wrap=True, style="yellow")

@@ -112,7 +112,7 @@ def examined(seed: int, faults: Sequence[str], earlier: Certificate | None) -> t
 
 def named(check: Check) -> str:
     """A finding on one line."""
-    return f"{check.name}: {check.value} {check.unit}, {check.limit}. {check.advice}".strip()
+    return f"{check.name}: {check.shown}, {check.limit}. {check.advice}".strip()
 
 
 def examine_one(seed: int, faults: Sequence[str], out: Path) -> None:
