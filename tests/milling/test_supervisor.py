@@ -75,6 +75,29 @@ def test_silence_of_one_who_mills_stops_the_motion(wire, said) -> None:
     assert written(far) == WORDS
 
 
+def test_an_armed_supervisor_waits_as_long_as_it_was_told_and_one_at_ease_for_ever(
+    wire, said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near, far = wire
+    waits: list[float | None] = []
+
+    def hears(files: list[int], *_: object) -> tuple[list[int], list[int], list[int]]:
+        waits.append(_[-1])  # type: ignore[arg-type]
+        return (files if len(waits) < 3 else [], [], [])
+
+    monkeypatch.setattr(supervisor.select, "select", hears)
+    os.write(said, b"D\n")
+    read, words = os.read, [b"A\n", b"D\n"]
+    monkeypatch.setattr(supervisor.os, "read", lambda file, n: words.pop() if words else read(file, n))
+    assert supervisor.watch(near, 5.0, SCRIPT).startswith("no sign of life")
+    assert waits[0] is None
+    assert waits[1] is None
+    assert waits[2] == pytest.approx(5.0, abs=0.5)
+    monkeypatch.undo()
+    assert written(far) == WORDS
+    os.close(said)
+
+
 def test_the_end_of_the_pipe_stops_the_motion_while_armed(wire, said) -> None:
     near, far = wire
     assert watched(near, said, "A.", ends=True, silence_s=5.0) == "the process that mills is gone"
@@ -110,6 +133,15 @@ def test_signs_of_life_that_were_given_too_far_apart_are_none(wire, said) -> Non
     os.write(said, b"A\n" + b"".join(b".%.6f\n" % (start_s + s) for s in (0.1, 0.2, 7.7, 7.8)))
     assert supervisor.watch(near, 5.0, SCRIPT) == "no sign of life for 7.500 s"
     assert written(far) == WORDS
+    os.close(said)
+
+
+def test_out_of_the_bone_signs_of_life_may_be_as_far_apart_as_they_like(wire, said) -> None:
+    near, far = wire
+    start_s = supervisor.now_s()
+    os.write(said, b"A\nD\n" + b"".join(b".%.6f\n" % (start_s + s) for s in (0.1, 7.7)) + b"Q\n")
+    assert supervisor.watch(near, 5.0, SCRIPT) == ""
+    assert written(far) == b""
     os.close(said)
 
 
