@@ -289,6 +289,7 @@ def test_a_port_that_is_gone_is_told(told: list[str], said: int) -> None:
     for end in ends:
         os.close(end)
     assert watched(ends[1], said, "!") == "told to stop; the port took no bytes"
+    assert told == ["told to stop; the port took no bytes"]
 
 
 def test_a_port_that_is_full_for_a_moment_is_waited_for(
@@ -311,21 +312,26 @@ def test_a_port_that_is_full_for_a_moment_is_waited_for(
 def test_it_asks_for_a_good_place_and_watches_without_one(
     wire: tuple[int, int], said: int, permitted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[str] = []
+    asked: list[tuple[object, ...]] = []
+    reads, tells = os.pipe()
 
-    def ask(name: str) -> None:
-        asked.append(name)
+    def ask(*words: object) -> None:
+        asked.append(words)
         if not permitted:
             raise PermissionError
 
-    monkeypatch.setattr(supervisor.os, "sched_setscheduler", lambda *_: ask("real time"))
-    monkeypatch.setattr(supervisor.os, "setpriority", lambda *_: ask("priority"))
-    monkeypatch.setattr(supervisor.gc, "disable", lambda: ask("no collections") if permitted else None)
+    monkeypatch.setattr(supervisor, "STDOUT", tells)
+    monkeypatch.setattr(supervisor.os, "sched_setscheduler", lambda pid, policy, _: ask(pid, policy))
+    monkeypatch.setattr(supervisor.os, "setpriority", lambda which, pid, _: ask(which, pid))
     monkeypatch.setattr(sys, "argv", ["supervisor.py", str(wire[0]), "0.5", '[["21", 0.0], ["18", 0.0]]'])
     os.write(said, b"!\n")
     supervisor.main()
-    assert {"real time", "priority"} <= set(asked)
+    itself = 0
+    assert asked == [(itself, os.SCHED_FIFO), (os.PRIO_PROCESS, itself)]
     assert stopped(wire[1])
+    assert os.read(reads, 64) == b"watching\n"
+    for end in (reads, tells):
+        os.close(end)
 
 
 def test_why_goes_to_whoever_reads_and_nobody_need_read(monkeypatch: pytest.MonkeyPatch) -> None:
