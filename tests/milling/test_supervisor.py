@@ -106,6 +106,28 @@ def test_an_armed_supervisor_waits_as_long_as_it_was_told_and_one_at_ease_for_ev
     os.close(said)
 
 
+def test_a_silence_that_is_over_is_not_waited_for_and_told_as_long_as_it_was(
+    wire, said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near, far = wire
+    # Heard at 100 s; asked at 107 s what is left of 5 s.
+    times: list[float] = [107.0, 107.0, 100.0, 100.0, 100.0]
+    waits: list[float | None] = []
+    monkeypatch.setattr(supervisor, "now_s", times.pop)
+
+    def hears(files: list[int], _w: object, _x: object, wait_s: float | None) -> tuple[list[int], list[int], list[int]]:
+        waits.append(wait_s)
+        return (files if len(waits) == 1 else [], [], [])
+
+    monkeypatch.setattr(supervisor.select, "select", hears)
+    os.write(said, b"A\n")
+    assert supervisor.watch(near, 5.0, SCRIPT) == "no sign of life for 7.000 s"
+    assert waits == [None, 0.0]
+    monkeypatch.undo()
+    assert stopped(far)
+    os.close(said)
+
+
 def test_the_end_of_the_pipe_stops_the_motion_while_armed(wire, said) -> None:
     near, far = wire
     assert watched(near, said, "A.", ends=True, silence_s=5.0) == "the process that mills is gone"
