@@ -16,6 +16,8 @@ from drivers.motion.grbl.driver import GrblController
 
 HERE = Path(__file__).parent
 TRACES = sorted(HERE.glob("motion-*.jsonl"))
+OF_RIGS = sorted(HERE.glob("rig-motion-*.jsonl"))
+"""Of devices: played to the driver alone."""
 STEP_MM = 0.002
 
 
@@ -23,7 +25,7 @@ def named(path: Path) -> str:
     return path.stem
 
 
-@pytest.mark.parametrize("file", TRACES, ids=named)
+@pytest.mark.parametrize("file", [*TRACES, *OF_RIGS], ids=named)
 def test_the_driver_writes_the_same_bytes(file: Path) -> None:
     playback = Playback(file, "motion")
     table = GrblMotion.model_validate(playback.header["rig"]["motion"])

@@ -19,6 +19,8 @@ from drivers.trace_file import frame_of
 
 HERE = Path(__file__).parent
 TRACES = sorted(HERE.glob("spindle-*.jsonl"))
+OF_RIGS = sorted(HERE.glob("rig-spindle-*.jsonl"))
+"""Of devices: played to the driver alone."""
 HOST_BEAT = "77F#05"
 
 
@@ -26,7 +28,7 @@ def named(path: Path) -> str:
     return path.stem
 
 
-@pytest.mark.parametrize("file", TRACES, ids=named)
+@pytest.mark.parametrize("file", [*TRACES, *OF_RIGS], ids=named)
 def test_the_driver_sends_the_same_frames(file: Path) -> None:
     playback = Playback(file, "spindle", beat=HOST_BEAT)
     table = Cia402SpindleTable.model_validate(playback.header["rig"]["spindle"])
