@@ -58,6 +58,8 @@ def doctor(chosen: BenchChoice, json_file: Path | None, no_motion: bool, recerti
             console.print(f"compared with the certificate of {earlier.date}", style="dim")
         for check in examine(replace(patient, earlier=earlier), seen.append, _words):
             checks.append(check)
+            if bench.trace is not None:
+                bench.trace.event("check", **check.to_json())
             _show(console, check)
     passed = all(check.passed for check in checks)
     now = datetime.now(UTC)
