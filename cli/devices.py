@@ -1,6 +1,6 @@
 """`mill devices`."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,8 @@ from drivers.clock import Clock, SystemClock
 from drivers.errors import ConfigError, MillError
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
     from cli.config import RigConfig
     from drivers.discovery import FoundDevice
     from drivers.identify import Identified
@@ -63,15 +65,15 @@ def devices(
         raise click.UsageError("--watch opens nothing; leave out --identify, --suggest and --pictures")
     if suggest is not None and str(suggest) != "-" and suggest.exists():
         raise ConfigError(f"{suggest}: exists and is not written over; name another file")
-    named = _named(load_rig(rig)) if rig is not None else ((), ())
+    config = load_rig(rig) if rig is not None else None
+    named = _named(config) if config else ((), ())
     clock = SystemClock()
 
     def say(line: str) -> None:
         click.echo(line, err=wants_stdout > 0)
 
     found = find_devices(*named)
-    asked = identify or suggest is not None
-    who = {device.path: answer for device in found if (answer := _identified(device, clock))} if asked else {}
+    who = dict(_identified(found, clock, _of_other_makes(config))) if identify or suggest is not None else {}
     for line in _table(found, who):
         say(line)
     files = {} if pictures is None else dict(_saved(found, pictures, clock, say))
@@ -120,18 +122,41 @@ def _key(device: "FoundDevice") -> tuple[str | None, ...]:
 
 def _named(config: "RigConfig") -> tuple[list[str], list[str]]:
     """The ports and the cameras that a rig file names, of any make."""
-    motion, spindle, camera = (table.model_dump() for table in (config.motion, config.spindle, config.camera))
-    ports = [motion.get("port"), spindle.get("port"), spindle.get("channel")]
-    cameras = [camera.get("left"), camera.get("right")]
-    return [name for name in ports if isinstance(name, str)], [name for name in cameras if isinstance(name, str)]
+    camera = config.camera.model_dump()
+    cameras = [name for side in ("left", "right") if isinstance(name := camera.get(side), str)]
+    return [*_ports(config.motion), *_ports(config.spindle)], cameras
 
 
-def _identified(device: "FoundDevice", clock: Clock) -> "Identified | None":
-    from drivers.identify import identify_can, identify_port
+def _ports(table: "BaseModel") -> list[str]:
+    """The serial port of a device's table, by the keys that all makes use."""
+    keys = table.model_dump()
+    return [name for key in ("port", "channel") if isinstance(name := keys.get(key), str)]
 
-    if device.kind == "camera" or device.held_by or device.problem:
-        return None
-    return identify_port(device.name, clock) if device.kind == "serial" else identify_can(device.path, clock)
+
+def _of_other_makes(config: "RigConfig | None") -> dict[str, str]:
+    """By port, the makes whose wires mill does not know: its questions might be commands to them."""
+    from cli.config import OtherBackend
+
+    tables = [table for table in (config.motion, config.spindle) if isinstance(table, OtherBackend)] if config else []
+    return {
+        value: table.backend
+        for table in tables
+        for key, value in table.model_dump().items()
+        if key in {"port", "channel"}
+    }
+
+
+def _identified(
+    found: Iterable["FoundDevice"], clock: Clock, other_makes: Mapping[str, str]
+) -> Iterator[tuple[str, "Identified"]]:
+    from drivers.identify import Identified, identify_can, identify_port
+
+    for device in found:
+        if device.path in other_makes:
+            yield device.path, Identified(None, f"not asked: backend {other_makes[device.path]!r} of the rig file")
+        elif device.kind != "camera" and not device.held_by and not device.problem:
+            ask = identify_port if device.kind == "serial" else identify_can
+            yield device.path, ask(device.name, clock)
 
 
 def _saved(
