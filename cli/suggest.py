@@ -44,7 +44,7 @@ def rig_suggestion(found: Sequence["FoundDevice"], who: Mapping[str, "Identified
         *(
             []
             if len(cameras) >= 2
-            else [f"# {len(cameras)} of 2 cameras found: plug the other in, and correct its name"]
+            else [f"# {len(cameras)} of 2 cameras found: plug in what is missing, and correct its name"]
         ),
         "# The first camera found is called left, the second right: `mill doctor` finds out whether they are swapped.",
         f"left = {_text(left)}",

@@ -47,6 +47,10 @@ class Lines:
         data, self._out = self._out, b""
         return data
 
+    def advance_to(self, time_s: float) -> None:
+        """Let time pass."""
+        raise NotImplementedError
+
     def urgent(self, byte: int) -> None:
         """Act at once."""
         raise NotImplementedError
@@ -112,8 +116,8 @@ class Stage(Lines):
                 self._queue.clear()
                 self._held = False
                 return "ok"
-            case ["floor", z] if not self._moving:
-                self._floor = float(z)
+            case ["floor", height] if not self._moving:
+                self._floor = float(height)
                 return "ok"
             case ["go", *numbers] if len(numbers) == 4:
                 x, y, z, feed = map(float, numbers)

@@ -183,6 +183,6 @@ class ExampleStage(MotionController):
             raise ProtocolError(f"{self._wire.name}: {answer!r} is no travel; check the cable") from None
         return Travel((x0, y0, z0), (x1, y1, z1))
 
-    def _latched(self, status: MotionStatus) -> DeviceFaultError:
-        kind = NotHomedError if status.alarm == "not homed" else DeviceFaultError
+    def _latched(self, status: MotionStatus) -> DeviceError:
+        kind: type[DeviceError] = NotHomedError if status.alarm == "not homed" else DeviceFaultError
         return kind(f"{self._wire.name}: {status.alarm}; home() releases it")
