@@ -10,7 +10,7 @@ import click
 from cli.options import json_option, rig_option
 from cli.output import columns, for_people, write_json
 from drivers.clock import Clock, SystemClock
-from drivers.errors import ConfigError, MillError
+from drivers.errors import ConfigError, DeviceError, MillError
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -167,16 +167,19 @@ def _saved(
 
     folder.mkdir(parents=True, exist_ok=True)
     for device in found:
-        if device.kind == "camera":
-            path = folder / file_name(device.name)
-            try:
-                save_snapshot(device.name, path, clock)
-            except MillError as error:
-                say(f"no picture: {for_people(error)}")
-                yield device.path, None
-            else:
-                say(f"picture: {path}")
-                yield device.path, path
+        if device.kind != "camera":
+            continue
+        path = folder / file_name(device.name)
+        try:
+            if device.held_by or device.problem:
+                raise DeviceError(f"{device.name}: {state(device)}")
+            save_snapshot(device.name, path, clock)
+        except MillError as error:
+            say(f"no picture: {for_people(error)}")
+            yield device.path, None
+        else:
+            say(f"picture: {path}")
+            yield device.path, path
 
 
 def _suggest(
