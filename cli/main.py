@@ -20,7 +20,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "resume": ("cli.resume", "Go on with a window whose run ended too early."),
     "jog": ("cli.jog", "Move the drill by hand, or home it."),
     "stop": ("cli.stop", "Stop motion and spindle of a rig, whoever runs it."),
-    "devices": ("cli.devices", "List what is plugged in."),
+    "devices": ("cli.devices", "List what is plugged in, ask who it is, write a rig file of it."),
     "doctor": ("cli.doctor", "Open, identify, read back and measure each device of a rig."),
     "dataset": ("cli.dataset", "Make data sets: rendered, from photographs, or from a rig."),
     "train": ("cli.train", "Train a network on rendered pictures."),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from drivers.lock import can_device, owner_of
+from drivers.lock import can_device, holders_of, owner_of
 
 _CAN_INTERFACE_TYPE = "280"
 _STABLE_PLACES = ("dev", "dev/serial/by-id", "dev/serial/by-path", "dev/v4l/by-id", "dev/v4l/by-path")
@@ -30,11 +30,27 @@ class FoundDevice:
     """Why this process could not open it, and what to do."""
     owner: str | None
     """The mill process that holds it."""
+    driver: str | None = None
+    """The kernel's driver, "ch341"."""
+    holder: str | None = None
+    """The processes that have it open, of mill or not, as far as this user may see them."""
+
+    @property
+    def name(self) -> str:
+        """What a rig file should call it."""
+        return next(iter(self.stable_paths), self.path)
+
+    @property
+    def held_by(self) -> str | None:
+        """Who has it, as far as known."""
+        return self.owner or self.holder
 
 
-def find_devices(named_ports: Iterable[str] = (), *, root: Path = Path("/")) -> list[FoundDevice]:
-    """Everything found. ``named_ports`` are ports that no bus lists, such as the ptys of an emulated bench."""
-    return [*_serial_ports(named_ports, root), *_can_interfaces(root), *_cameras(root)]
+def find_devices(
+    named_ports: Iterable[str] = (), named_cameras: Iterable[str] = (), *, root: Path = Path("/")
+) -> list[FoundDevice]:
+    """Everything found, and what was named: ports that no bus lists, such as ptys, and cameras with a URL."""
+    return [*_serial_ports(named_ports, root), *_can_interfaces(root), *_cameras(named_cameras, root)]
 
 
 def _serial_ports(named_ports: Iterable[str], root: Path) -> Iterator[FoundDevice]:
@@ -51,10 +67,13 @@ def _serial_ports(named_ports: Iterable[str], root: Path) -> Iterator[FoundDevic
             product=port.product,
             problem=_problem(port.device),
             owner=owner_of(port.device),
+            driver=_driver(root / "sys/class/tty" / Path(port.device).name),
+            holder=_holder(port.device),
         )
     for path in named_ports:
         if os.path.realpath(path) not in listed and Path(path).exists():
-            yield FoundDevice("serial", path, (), None, None, None, _problem(path), owner_of(path))
+            owner, holder = owner_of(path), _holder(path)
+            yield FoundDevice("serial", path, (), None, None, None, _problem(path), owner, holder=holder)
 
 
 def _can_interfaces(root: Path) -> Iterator[FoundDevice]:
@@ -71,10 +90,11 @@ def _can_interfaces(root: Path) -> Iterator[FoundDevice]:
                 product=_usb_text(interface / "device", "product"),
                 problem=None if is_up else step,
                 owner=owner_of(can_device(interface.name)),
+                driver=_driver(interface),
             )
 
 
-def _cameras(root: Path) -> Iterator[FoundDevice]:
+def _cameras(named: Iterable[str], root: Path) -> Iterator[FoundDevice]:
     for node in sorted((root / "sys/class/video4linux").glob("video*")):
         # The other nodes of a camera hand out metadata, not pictures.
         if _text(node / "index") == "0":
@@ -88,7 +108,12 @@ def _cameras(root: Path) -> Iterator[FoundDevice]:
                 product=_text(node / "name"),
                 problem=_problem(path),
                 owner=owner_of(path),
+                driver=_driver(node),
+                holder=_holder(path),
             )
+    for url in named:
+        if "://" in url:
+            yield FoundDevice("camera", url, (), None, None, None, None, owner_of(url))
 
 
 def _links_to(path: str, root: Path) -> tuple[str, ...]:
@@ -96,6 +121,16 @@ def _links_to(path: str, root: Path) -> tuple[str, ...]:
     links = (link for place in _STABLE_PLACES for link in sorted((root / place).glob("*")) if link.is_symlink())
     found = [str(link) for link in links if os.path.realpath(link) == target]
     return tuple(sorted(found, key=lambda link: not Path(link).name.startswith("mill-")))
+
+
+def _driver(node: Path) -> str | None:
+    """The driver of the hardware behind a node of /sys/class."""
+    driver = node / "device/driver"
+    return driver.resolve().name if driver.exists() else None
+
+
+def _holder(path: str) -> str | None:
+    return holders_of(path, far_end=False) or None
 
 
 def _problem(path: str) -> str | None:

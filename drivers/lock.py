@@ -7,6 +7,7 @@ kernel's own exclusive mode of serial ports, which root ignores and which names 
 
 import contextlib
 import fcntl
+import hashlib
 import os
 import sys
 import tempfile
@@ -52,6 +53,9 @@ class DeviceLock:
 def lock_path(device: str) -> Path:
     """The lock file of a device, the same for every name that leads to it."""
     place = next(place for place in _SHARED_PLACES if os.access(place, os.W_OK))
+    if "://" in device:
+        # An address may hold a password, and be longer than a file's name.
+        return place / f"mill-url-{hashlib.sha256(device.encode()).hexdigest()[:32]}.lock"
     return place / ("mill" + os.path.realpath(device).replace("/", "-") + ".lock")
 
 
@@ -77,16 +81,29 @@ def owner_of(device: str) -> str | None:
     return None
 
 
-def holders_of(device: str) -> str:
-    """Which other processes have the device node open, "pid 123 (minicom)"; empty where none can be seen."""
+def holders_of(device: str, *, far_end: bool = True) -> str:
+    """Which other processes have the device node open, "pid 123 (minicom)"; empty where none can be seen.
+
+    Whoever serves a pty has it open too, and is to its users what an adapter is: ``far_end=False`` leaves it out.
+    """
     node, own, found = os.path.realpath(device), str(os.getpid()), []
     for process in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            if process.name != own and any(os.path.realpath(fd) == node for fd in (process / "fd").iterdir()):
+            if process.name == own or not any(os.path.realpath(fd) == node for fd in (process / "fd").iterdir()):
+                continue
+            if far_end or not _serves(process, node):
                 words = (process / "cmdline").read_bytes().rstrip(b"\0").split(b"\0")
                 command = " ".join(word.decode(errors="replace") for word in words).replace("\n", " ")
                 found.append(f"pid {process.name} ({command[:200]})")
     return ", ".join(found)
+
+
+def _serves(process: Path, node: str) -> bool:
+    """Whether a process has the other end of a pty."""
+    if not node.startswith("/dev/pts/"):
+        return False
+    index = f"tty-index:\t{Path(node).name}\n"
+    return any(index in info.read_text(errors="replace") for info in (process / "fdinfo").iterdir())
 
 
 def _open(path: Path) -> int:

@@ -81,12 +81,12 @@ class OpenCvSource:
         self._size_px = size_px
         self._fps = fps
         self._settings = (exposure, gain, white_balance_k)
-        self._lock: DeviceLock | None = None
         if not _is_url(device_or_url):
             if exposure is None:
                 raise ConfigError(f"{device_or_url}: a V4L2 camera needs a fixed exposure; set [camera] exposure")
             _require_present(device_or_url)
-            self._lock = DeviceLock(device_or_url)
+        # A server can feed two readers, but a small one feeds each at half the rate.
+        self._lock = DeviceLock(device_or_url)
         self._closing = threading.Event()
         self._changed = threading.Condition()
         self._newest: tuple[bytes | Image, float] | None = None
@@ -97,7 +97,7 @@ class OpenCvSource:
         try:
             self._stream = self._open()
         except BaseException:
-            self._release_lock()
+            self._lock.release()
             raise
         self._thread = threading.Thread(target=self._grab, name=f"grab {device_or_url}", daemon=True)
         self._thread.start()
@@ -154,7 +154,7 @@ class OpenCvSource:
         if self._thread.is_alive():
             raise DeviceTimeoutError(f"{self._name}: does not let go within {_JOIN_S:g} s; unplug the camera")
         self._stream.close()
-        self._release_lock()
+        self._lock.release()
 
     def _open(self) -> _Stream:
         if self._name.startswith(("http://", "https://")):
@@ -221,10 +221,6 @@ class OpenCvSource:
                 raise DeviceFaultError(f"{self._name}: sent {len(picture)} bytes that are no JPEG; check cable and hub")
             self._decoded = (np.asarray(image, np.uint8), exposed_at_s)
         return self._decoded
-
-    def _release_lock(self) -> None:
-        if self._lock is not None:
-            self._lock.release()
 
 
 class _HttpStream:

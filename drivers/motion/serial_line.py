@@ -8,6 +8,8 @@ import contextlib
 import errno
 import os
 import select
+import termios
+from collections.abc import Iterator
 
 import serial
 
@@ -36,6 +38,11 @@ class PortLine:
     def descriptor(self) -> int | None:
         """The open port."""
         return self._fd if self._open else None
+
+    def hand_on_at_once(self) -> None:
+        """Tell a USB adapter that can do so to hold no short replies back; a pty has no such mode."""
+        with contextlib.suppress(OSError, ValueError, NotImplementedError):
+            self._port.set_low_latency_mode(True)
 
     def write(self, data: bytes) -> None:
         """Put bytes on the wire; a wire that takes none for 0.2 s is gone."""
@@ -94,6 +101,44 @@ def open_serial(port: str, baud: int) -> PortLine:
         ConnectionLostError: absent or not openable; the message names path, reason and next step.
         DeviceBusyError: another process, which the message names, has it.
     """
+    line = _open(port, baud)
+    line.hand_on_at_once()
+    return line
+
+
+@contextlib.contextmanager
+def borrowed_serial(port: str, baud: int) -> Iterator[PortLine]:
+    """A port for a few questions to whoever is there: its settings are afterwards what they were.
+
+    Opening a port raises DTR, whoever opens it; some boards start anew on that.
+
+    Raises:
+        ConnectionLostError: absent or not openable; the message names path, reason and next step.
+        DeviceBusyError: another process, which the message names, has it.
+    """
+    if holders := holders_of(port, far_end=False):
+        raise DeviceBusyError(f"{port}: in use by {holders}; close that program, or ask again when it has ended")
+    try:
+        fd = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    except OSError as error:
+        raise ConnectionLostError(_absent(port, error)) from error
+    try:
+        try:
+            found = termios.tcgetattr(fd)
+        except termios.error as error:
+            raise ConnectionLostError(_absent(port, OSError(errno.ENOTTY, os.strerror(errno.ENOTTY)))) from error
+        with contextlib.closing(_open(port, baud)) as line:
+            try:
+                yield line
+            finally:
+                # A port that was pulled meanwhile keeps no settings.
+                with contextlib.suppress(termios.error):
+                    termios.tcsetattr(fd, termios.TCSANOW, found)
+    finally:
+        os.close(fd)
+
+
+def _open(port: str, baud: int) -> PortLine:
     # Before the lock, so that a wrong path is told as what it is.
     if not os.path.exists(port):  # noqa: PTH110  (a path as the user wrote it, not one of ours)
         raise ConnectionLostError(_absent(port, OSError(errno.ENOENT, os.strerror(errno.ENOENT))))
@@ -103,9 +148,6 @@ def open_serial(port: str, baud: int) -> PortLine:
     except (serial.SerialException, OSError) as error:
         lock.release()
         raise _refusal(port, error) from error
-    # A USB adapter that can hand bytes on at once is told to; a pty has no such mode.
-    with contextlib.suppress(OSError, ValueError, NotImplementedError):
-        opened.set_low_latency_mode(True)
     return PortLine(opened, lock)
 
 

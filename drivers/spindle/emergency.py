@@ -3,7 +3,7 @@
 HOST_SILENT = 0x8130
 """The drive missed the host's heartbeat."""
 
-_EXACT = {
+EXACT = {
     0x2110: "short circuit or earth leakage at the input",
     0x2220: "continuous over-current inside the drive",
     0x2230: "short circuit or earth leakage inside the drive",
@@ -54,7 +54,7 @@ _EXACT = {
     0x8612: "reference limit",
     0xF001: "deceleration",
 }
-_BY_FAMILY = {
+BY_FAMILY = {
     0x1: "generic error",
     0x2: "current",
     0x3: "voltage",
@@ -75,4 +75,4 @@ def is_reset(code: int) -> bool:
 
 def words(code: int) -> str:
     """The code and its meaning, the family's where the code itself is the maker's own."""
-    return f"0x{code:04X} {_EXACT.get(code) or _BY_FAMILY.get(code >> 12, 'unknown error')}"
+    return f"0x{code:04X} {EXACT.get(code) or BY_FAMILY.get(code >> 12, 'unknown error')}"

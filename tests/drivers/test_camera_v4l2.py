@@ -11,6 +11,7 @@ import pytest
 from pytest_mock import MockerFixture
 
 from drivers.camera.opencv import OpenCvSource
+from drivers.camera.snapshot import SETTLING_PICTURES, save_snapshot
 from drivers.clock import SystemClock
 from drivers.errors import ConfigError, ConnectionLostError, DeviceBusyError, DeviceFaultError, DeviceTimeoutError
 from drivers.lock import DeviceLock
@@ -233,3 +234,37 @@ def test_a_driver_that_does_not_let_go_is_reported(mocker: MockerFixture, device
     hangs.set()
     eye._thread.join(5)
     eye._lock.release()  # type: ignore[union-attr]  (the process would have ended)
+
+
+class Brightening(FeignedCapture):
+    """A camera whose automatic exposure settles picture by picture."""
+
+    def __init__(self, pictures: int, *, opens: bool = True) -> None:
+        super().__init__(opens=opens)
+        self.left = pictures
+        self.level = 0
+
+    def read(self) -> tuple[bool, Any]:
+        self.left, self.level = self.left - 1, self.level + 20
+        return self.left >= 0, np.full((54, 96, 3), (0, 0, self.level), np.uint8)
+
+
+def test_a_picture_to_tell_cameras_apart_changes_no_setting(mocker: MockerFixture, device: str, tmp_path: Path) -> None:
+    capture = Brightening(100)
+    feign(mocker, capture)
+    save_snapshot(device, tmp_path / "left.png", CLOCK)
+    assert cv2.imread(str(tmp_path / "left.png"))[0, 0].tolist() == [0, 0, 20 * SETTLING_PICTURES]
+    assert (capture.order, capture.released) == ([], 1)
+    DeviceLock(device).release()
+
+
+def test_no_picture_is_told_and_nothing_stays_locked(mocker: MockerFixture, device: str, tmp_path: Path) -> None:
+    feign(mocker, Brightening(3), Brightening(0, opens=False))
+    with pytest.raises(DeviceTimeoutError, match=f"{device}: no picture within"):
+        save_snapshot(device, tmp_path / "left.png", CLOCK)
+    with pytest.raises(ConnectionLostError, match="close other programs"):
+        save_snapshot(device, tmp_path / "left.png", CLOCK)
+    lock = DeviceLock(device)
+    with pytest.raises(DeviceBusyError, match=f"pid {os.getpid()}"):
+        save_snapshot(device, tmp_path / "left.png", CLOCK)
+    lock.release()

@@ -1,4 +1,6 @@
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -6,7 +8,7 @@ from pytest_mock import MockerFixture
 from serial.tools.list_ports_common import ListPortInfo
 
 from drivers.discovery import find_devices
-from drivers.lock import DeviceLock, can_device
+from drivers.lock import DeviceLock, can_device, holders_of
 
 
 @pytest.fixture
@@ -20,6 +22,13 @@ def root(tmp_path: Path, mocker: MockerFixture) -> Path:
         (usb / name / f"{name}:1.0").mkdir(parents=True)
         for key, value in attributes.items():
             (usb / name / key).write_text(value + "\n")
+        driver = tmp_path / "sys/bus/usb/drivers" / {"1-2": "gs_usb", "1-3": "uvcvideo"}[name]
+        driver.mkdir(parents=True)
+        (usb / name / f"{name}:1.0/driver").symlink_to(driver)
+    port_node = tmp_path / "sys/class/tty/ttyUSB0/device"
+    port_node.mkdir(parents=True)
+    (tmp_path / "sys/bus/usb-serial/drivers/ftdi_sio").mkdir(parents=True)
+    (port_node / "driver").symlink_to(tmp_path / "sys/bus/usb-serial/drivers/ftdi_sio")
     for interface, kind, flags in (("can0", "280", "0x1003"), ("can1", "280", "0x1002"), ("eth0", "1", "0x1003")):
         net = tmp_path / "sys/class/net" / interface
         net.mkdir(parents=True)
@@ -62,6 +71,7 @@ def test_each_kind_is_found_with_what_tells_it_apart(root: Path) -> None:
     assert (camera.kind, camera.path, camera.usb_id) == ("camera", str(root / "dev/video0"), "046d:0825")
     assert camera.stable_paths == (str(root / "dev/mill-left"), str(root / "dev/v4l/by-path/pci-usb-0:3:1.0"))
     assert all(device.problem is None for device in (port, camera))
+    assert [device.driver for device in (port, can0, can1, camera)] == ["ftdi_sio", "gs_usb", None, "uvcvideo"]
 
 
 def test_ports_that_no_bus_lists_are_found_by_name(root: Path) -> None:
@@ -82,6 +92,37 @@ def test_the_owner_and_a_missing_permission_are_told(root: Path, mocker: MockerF
     lock.release()
     assert f"pid {os.getpid()}" in (found.owner or "")
     assert "udev/README.md" in (found.problem or "")
+
+
+def test_a_holder_that_is_no_mill_process_is_told(root: Path) -> None:
+    port = str(root / "dev/ttyUSB0")
+    holder = [sys.executable, "-c", "import sys; sys.stdin.read()", "terminal"]
+    with (
+        Path(port).open() as node,
+        subprocess.Popen(holder, stdin=subprocess.PIPE, pass_fds=[node.fileno()]) as process,
+    ):
+        found = find_devices(root=root)[0]
+        process.communicate()
+    assert (found.owner, found.problem) == (None, None)
+    assert found.held_by == found.holder
+    assert (found.holder or "").startswith(f"pid {process.pid} (")
+    assert "terminal" in (found.holder or "")
+
+
+def test_who_serves_a_pty_does_not_hold_it() -> None:
+    server = "import os, pty, sys; m, s = pty.openpty(); print(os.ttyname(s), flush=True); sys.stdin.read()"
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", server], stdin=pipe, stdout=pipe, text=True) as process:
+        assert process.stdout is not None
+        path = process.stdout.readline().strip()
+        assert f"pid {process.pid} " in holders_of(path)
+        assert [device.held_by for device in find_devices([path]) if device.path == path] == [None]
+        process.communicate()
+
+
+def test_cameras_with_an_address_are_listed_as_they_are_named(root: Path) -> None:
+    *_, last = find_devices((), ["http://10.0.0.2/left", str(root / "dev/video0")], root=root)
+    assert (last.kind, last.name) == ("camera", "http://10.0.0.2/left")
 
 
 def test_the_owner_of_a_can_interface_is_told(root: Path) -> None:

@@ -5,7 +5,7 @@ import os
 import re
 import shutil
 import subprocess
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from string import Template
 
@@ -187,6 +187,20 @@ PLUGGED = {
     "FTDI, by its serial number": Plugged(
         4, "ttyUSB1", ("0403", "6001"), "FT232R", "A10NB2XY", {"mill-motion", "mill-motion-A10NB2XY"}
     ),
+    "FT231X": Plugged(4, "ttyUSB1", ("0403", "6015"), "FT231X USB UART", "DN01", {"mill-motion", "mill-motion-DN01"}),
+    "CP2102": Plugged(
+        4,
+        "ttyUSB0",
+        ("10c4", "ea60"),
+        "CP2102 USB to UART Bridge Controller",
+        "0001",
+        {"mill-motion", "mill-motion-0001"},
+    ),
+    "Arduino Uno": Plugged(4, "ttyACM0", ("2341", "0043"), "", "7543", {"mill-motion", "mill-motion-7543"}),
+    "Teensy": Plugged(4, "ttyACM0", ("16c0", "0483"), "USB Serial", "88", {"mill-motion", "mill-motion-88"}),
+    "Teensy with something else": Plugged(4, "ttyACM0", ("16c0", "0483"), "Keyboard", "88", set()),
+    "Pico": Plugged(4, "ttyACM0", ("2e8a", "000a"), "Pico", "E660", {"mill-motion", "mill-motion-E660"}),
+    "CANable, older": Plugged(4, "ttyACM1", ("ad50", "60c4"), "CANtact", "17", {"mill-spindle", "mill-spindle-17"}),
     "STM32 with grblHAL": Plugged(4, "ttyACM0", ("0483", "5740"), "grblHAL", "77", {"mill-motion", "mill-motion-77"}),
     "STM32 with something else": Plugged(4, "ttyACM0", ("0483", "5740"), "Oven", "77", set()),
     "CANable": Plugged(4, "ttyACM1", ("16d0", "117e"), "CANable", "0042", {"mill-spindle", "mill-spindle-0042"}),
@@ -204,16 +218,57 @@ PLUGGED = {
 @pytest.mark.parametrize("device", PLUGGED.values(), ids=PLUGGED.keys())
 def test_a_plugged_in_device_gets_its_names(device: Plugged, tmp_path: Path) -> None:
     """As the rules read, and as udev itself says where it, umockdev and namespaces are there to ask."""
-    assert names_as_the_rules_read(device) == device.names
-    answer = names_by_udev(device, tmp_path)
-    assert answer is None or answer == device.names
+    done = as_the_rules_read({"SUBSYSTEM": "video4linux" if device.is_camera else "tty", "index": device.index}, device)
+    assert done.names == device.names
+    assert ("uaccess" in done.tags) == bool(device.names)
+    if device.names and not device.is_camera:
+        assert done.properties["ID_MM_DEVICE_IGNORE"] == "1"
+    said = said_by_udev(device, tmp_path)
+    if said is not None:
+        assert set(re.findall(r"mill\S*rules:\d+ LINK '([^']+)'", said)) == device.names
+        if device.names:
+            assert re.search(r"TAGS=\S*:uaccess:", said)
+            assert device.is_camera or "ID_MM_DEVICE_IGNORE=1" in said
 
 
-def names_as_the_rules_read(device: Plugged) -> set[str]:
-    own = {"ACTION": "add", "SUBSYSTEM": "video4linux" if device.is_camera else "tty", "index": device.index}
+@pytest.mark.parametrize("adapter", ADAPTERS)
+def test_modem_manager_is_told_at_the_usb_device_itself(adapter: str) -> None:
+    """It asks there, and not at the port. A network interface is nothing that it greets."""
+    vendor, product = ADAPTERS[adapter]
+    own = {"SUBSYSTEM": "usb", "DEVTYPE": "usb_device", "idVendor": vendor, "idProduct": product}
+    done = as_the_rules_read(own, PLUGGED["a modem"])
+    assert done.properties.get("ID_MM_DEVICE_IGNORE") == (None if adapter == "candleLight" else "1")
+    assert (done.names, done.tags) == (set(), set())
+
+
+@pytest.mark.parametrize(("driver", "timer"), [("ftdi_sio", {"latency_timer": "1"}), ("ch341-uart", {})])
+def test_the_latency_timer_is_set_where_the_driver_has_one(driver: str, timer: dict[str, str]) -> None:
+    done = as_the_rules_read({"SUBSYSTEM": "usb-serial", "DRIVER": driver}, PLUGGED["FT231X"])
+    assert done.attributes == timer
+
+
+@pytest.mark.parametrize(("ids", "name"), [(("1d50", "606f"), "mill-spindle"), (("0bda", "8153"), "")])
+def test_candle_light_is_a_network_interface_with_a_name(ids: tuple[str, str], name: str) -> None:
+    done = as_the_rules_read({"SUBSYSTEM": "net"}, Plugged(4, "can0", ids, "adapter", "0042", set()))
+    assert (done.interface_name, done.names) == (name, set())
+
+
+@dataclass
+class Done:
+    """What the rules do to one device."""
+
+    names: set[str] = field(default_factory=set)
+    tags: set[str] = field(default_factory=set)
+    properties: dict[str, str] = field(default_factory=dict)
+    attributes: dict[str, str] = field(default_factory=dict)
+    interface_name: str = ""
+
+
+def as_the_rules_read(own: dict[str, str], device: Plugged) -> Done:
+    """What becomes of one uevent; ``own`` is the node, ``device`` what it hangs on."""
+    own = {"ACTION": "add"} | own
     imported = {"usb_id": {"ID_SERIAL_SHORT": device.serial}, "path_id": {"ID_PATH": SOCKET.format(port=device.port)}}
-    properties: dict[str, str] = {}
-    names: set[str] = set()
+    done = Done()
     skip_to = ""
     for rule in ALL_RULES:
         if skip_to and ("LABEL", "", "=", skip_to) not in rule:
@@ -224,24 +279,30 @@ def names_as_the_rules_read(device: Plugged) -> set[str]:
                 found = {
                     "ATTRS": [parent.get(name, "") for parent in device.parents],
                     "SUBSYSTEMS": [parent["SUBSYSTEM"] for parent in device.parents] + [own["SUBSYSTEM"]],
-                    "ENV": [properties.get(name, "")],
+                    "ENV": [done.properties.get(name, own.get(name, ""))],
                     "ATTR": [own.get(name, "")],
                 }.get(key, [own.get(key, "")])
                 matched = any(fnmatch.fnmatchcase(text, glob) for text in found for glob in value.split("|"))
                 if matched == (operator == "!="):
                     break
             elif key == "ENV":
-                properties[name] = value
+                done.properties[name] = value
+            elif key == "ATTR":
+                done.attributes[name] = value
             elif key == "IMPORT":
-                properties |= imported[value]
+                done.properties |= imported[value]
             elif key == "SYMLINK":
-                names.add(Template(value.replace("$env", "$")).substitute(properties))
+                done.names.add(Template(value.replace("$env", "$")).substitute(done.properties))
+            elif key == "TAG":
+                done.tags.add(value)
+            elif key == "NAME":
+                done.interface_name = value
             elif key == "GOTO":
                 skip_to = value
-    return names
+    return done
 
 
-def names_by_udev(device: Plugged, tmp_path: Path) -> set[str] | None:
+def said_by_udev(device: Plugged, tmp_path: Path) -> str | None:
     """In a mount namespace with our rules in place, and as nobody, for udevadm as root makes links in the real /dev."""
     recording = tmp_path / "device.umockdev"
     recording.write_text(device.recorded())
@@ -269,4 +330,4 @@ def names_by_udev(device: Plugged, tmp_path: Path) -> set[str] | None:
         line for line in said.splitlines() if re.search(r"6[01]-mill\S*rules:\d+ (Invalid|Unknown|Fail)", line)
     ]
     assert not complaints
-    return set(re.findall(r"mill\S*rules:\d+ LINK '([^']+)'", said))
+    return said
