@@ -156,12 +156,10 @@ def read_run(folder: Path) -> Run:
         ConfigError: no run there, or a line that is damaged in the middle of the record.
     """
     try:
-        header = json.loads((folder / "header.json").read_text())
+        header = _object_in(folder / "header.json")
         lines = (folder / "events.jsonl").read_bytes().split(b"\n")
     except FileNotFoundError as error:
         raise ConfigError(f"{folder}: no run here ({Path(error.filename).name} is missing)") from error
-    except ValueError as error:
-        raise ConfigError(f"{folder}/header.json: {error}; the record is damaged, restore it from a copy") from error
     if header.get("schema") != SCHEMA:
         raise ConfigError(f"{folder}/header.json: schema {header.get('schema')!r}, this version reads {SCHEMA}")
     events: list[dict[str, Any]] = []
@@ -180,10 +178,7 @@ def read_run(folder: Path) -> Run:
                 "restore it from a copy"
             )
     result_file = folder / "result.json"
-    try:
-        result = json.loads(result_file.read_text()) if result_file.exists() else None
-    except ValueError as error:
-        raise ConfigError(f"{result_file}: {error}; the record is damaged, restore it from a copy") from error
+    result = _object_in(result_file) if result_file.exists() else None
     return Run(folder, header, events, result, damage)
 
 
@@ -201,6 +196,19 @@ def write_atomically(path: Path, content: Any) -> None:
         os.fsync(folder)
     finally:
         os.close(folder)
+
+
+def _object_in(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path}: {error}; the record is damaged, restore it from a copy") from error
+    if not isinstance(content, dict):
+        raise ConfigError(
+            f"{path}: holds {type(content).__name__}, and a JSON object is due; the record is damaged, restore it from "
+            "a copy"
+        )
+    return content
 
 
 def _plain(value: Any) -> Any:
