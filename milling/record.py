@@ -141,18 +141,12 @@ def read_run(folder: Path) -> Run:
     for name in ("header.json", "events.jsonl"):
         if not (folder / name).is_file():
             raise ConfigError(f"{folder}: no run here ({name} is missing)")
-    try:
-        header = json.loads((folder / "header.json").read_text())
-    except ValueError as error:
-        raise ConfigError(f"{folder}/header.json: {error}; the record is damaged, restore it from a copy") from error
+    header = _object_in(folder / "header.json")
     if header.get("schema") != SCHEMA:
         raise ConfigError(f"{folder}/header.json: schema {header.get('schema')!r}, this version reads {SCHEMA}")
     events, damage = read_lines(folder / "events.jsonl")
     result_file = folder / "result.json"
-    try:
-        result = json.loads(result_file.read_text()) if result_file.exists() else None
-    except ValueError as error:
-        raise ConfigError(f"{result_file}: {error}; the record is damaged, restore it from a copy") from error
+    result = _object_in(result_file) if result_file.exists() else None
     return Run(folder, header, events, result, damage)
 
 
@@ -170,3 +164,16 @@ def write_atomically(path: Path, content: Any) -> None:
         os.fsync(folder)
     finally:
         os.close(folder)
+
+
+def _object_in(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path}: {error}; the record is damaged, restore it from a copy") from error
+    if not isinstance(content, dict):
+        raise ConfigError(
+            f"{path}: holds {type(content).__name__}, and a JSON object is due; the record is damaged, restore it from "
+            "a copy"
+        )
+    return content

@@ -7,6 +7,7 @@ import contextlib
 import http.client
 import re
 import socket
+from typing import Protocol
 from urllib.parse import urlsplit
 
 from drivers.errors import ConnectionLostError, DeviceTimeoutError, ProtocolError
@@ -14,6 +15,17 @@ from drivers.errors import ConnectionLostError, DeviceTimeoutError, ProtocolErro
 _LONGEST_LINE = 4096
 _MOST_HEADERS = 32
 _LARGEST_PICTURE = 32 * 1024 * 1024
+_SECONDS = re.compile(r"\d{1,12}(\.\d{1,12})?")
+
+
+class Readable(Protocol):
+    """What an HTTP response and a file have in common."""
+
+    def readline(self, limit: int, /) -> bytes:
+        """A line with its end, or its first ``limit`` bytes; b"" at the end of the stream."""
+
+    def read(self, amount: int, /) -> bytes:
+        """So many bytes, fewer at the end of the stream."""
 
 
 class MultipartStream:
@@ -37,7 +49,7 @@ class MultipartStream:
             target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
             self._connection.request("GET", target, headers={"Accept": "multipart/x-mixed-replace"})
             self._response = self._connection.getresponse()
-            self._boundary = self._check_head()
+            self._parts = PartReader(self._response, self._check_head(), url)
             self.serial_number: str | None = self._response.headers.get("X-Serial")
         except BaseException as error:
             self._connection.close()
@@ -60,22 +72,13 @@ class MultipartStream:
             ProtocolError: this is no multipart stream.
         """
         try:
-            self._skip_to_boundary()
-            headers = self._headers()
-            picture = self._body(headers)
+            return self._parts.read()
         except TimeoutError as error:
             raise DeviceTimeoutError(f"{self._url}: the stream stalled; is the camera still running?") from error
         except (OSError, http.client.HTTPException, ValueError) as error:
             if isinstance(error, ConnectionLostError):
                 raise
             raise ConnectionLostError(f"{self._url}: the stream broke off ({error}); start the camera again") from error
-        stamp = headers.get("x-timestamp")
-        if stamp is None:
-            return picture, None
-        try:
-            return picture, float(stamp)
-        except ValueError:
-            raise ProtocolError(f"{self._url}: X-Timestamp {stamp!r} is no number of seconds") from None
 
     def interrupt(self) -> None:
         """Let a waiting ``read()`` end at once."""
@@ -99,19 +102,49 @@ class MultipartStream:
         # Some servers write the dashes into the header as well.
         return b"--" + boundary[1].encode("latin-1").removeprefix(b"--")
 
+
+class PartReader:
+    """The parts of a multipart stream, one after the other; ``url`` is for the messages."""
+
+    def __init__(self, stream: Readable, boundary: bytes, url: str) -> None:
+        self._stream = stream
+        self._boundary = boundary
+        self._url = url
+
+    def read(self) -> tuple[bytes, float | None]:
+        """The next picture, and its X-Timestamp if it has one.
+
+        Raises:
+            ConnectionLostError: the stream ended.
+            ProtocolError: this is no multipart stream.
+        """
+        self._skip_to_boundary()
+        headers = self._headers()
+        picture = self._body(headers)
+        stamp = headers.get("x-timestamp")
+        if stamp is None:
+            return picture, None
+        if not _SECONDS.fullmatch(stamp):
+            raise ProtocolError(f"{self._url}: X-Timestamp {stamp!r} is no number of seconds, such as 1234.567")
+        return picture, float(stamp)
+
     def _line(self) -> bytes:
-        line = self._response.readline(_LONGEST_LINE)
+        line = self._stream.readline(_LONGEST_LINE)
         if not line:
             raise ConnectionLostError(f"{self._url}: the server hung up; start the camera again")
         return line
 
     def _skip_to_boundary(self) -> None:
-        while True:
-            line = self._line().rstrip(b"\r\n")
+        skipped = 0
+        while skipped <= _LARGEST_PICTURE:
+            line = self._line()
+            skipped += len(line)
+            line = line.rstrip(b"\r\n")
             if line == self._boundary:
                 return
             if line == self._boundary + b"--":
                 raise ConnectionLostError(f"{self._url}: the server ended the stream; start the camera again")
+        raise ProtocolError(f"{self._url}: no boundary within {_LARGEST_PICTURE} bytes; is this a multipart stream?")
 
     def _headers(self) -> dict[str, str]:
         headers: dict[str, str] = {}
@@ -131,7 +164,7 @@ class MultipartStream:
             raise ProtocolError(f"{self._url}: part without Content-Length; use a server that sends it")
         if not length.isdecimal() or int(length) > _LARGEST_PICTURE:
             raise ProtocolError(f"{self._url}: Content-Length {length!r}, allowed up to {_LARGEST_PICTURE} bytes")
-        picture = self._response.read(int(length))
+        picture = self._stream.read(int(length))
         if len(picture) != int(length):
             raise ConnectionLostError(f"{self._url}: the server hung up within a picture; start the camera again")
         return picture

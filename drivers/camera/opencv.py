@@ -7,15 +7,13 @@ and every setting is read back; a URL's camera is set up on its own side.
 
 import atexit
 import logging
-import math
-import os
 import threading
-from pathlib import Path
 from typing import Protocol
 
 import cv2
 import numpy as np
 
+from drivers.camera import jpeg, v4l2
 from drivers.camera.interface import Image
 from drivers.camera.multipart import MultipartStream
 from drivers.clock import Clock
@@ -35,11 +33,7 @@ _OPEN_S = 5.0
 _READ_S = 2.0
 _JOIN_S = 5.0
 _REOPENINGS_IN_A_ROW = 3
-_BUFFERS = 2
-_MANUAL_EXPOSURE = 1
-_STAMP_TRUSTED_WITHIN_S = 5.0
 _PERIODS_FROM_EXPOSURE_TO_ARRIVAL = 2
-_JPEG_START, _JPEG_END = b"\xff\xd8", b"\xff\xd9"
 
 
 class _Stream(Protocol):
@@ -73,7 +67,7 @@ class OpenCvSource:
 
         Raises:
             ConnectionLostError: absent or not openable; the message names path, reason and next step.
-            DeviceBusyError: another process has it.
+            DeviceBusyError: another process has it, or another program takes pictures with it.
             ConfigError: a setting that the camera does not hold.
         """
         self._name = device_or_url
@@ -84,7 +78,7 @@ class OpenCvSource:
         if not _is_url(device_or_url):
             if exposure is None:
                 raise ConfigError(f"{device_or_url}: a V4L2 camera needs a fixed exposure; set [camera] exposure")
-            _require_present(device_or_url)
+            v4l2.require_present(device_or_url)
         # A server can feed two readers, but a small one feeds each at half the rate.
         self._lock = DeviceLock(device_or_url)
         self._closing = threading.Event()
@@ -109,7 +103,7 @@ class OpenCvSource:
         """Serial number where the camera tells one (its stream's ``X-Serial``, or the kernel), else the path or URL."""
         if isinstance(self._stream, _HttpStream) and self._stream.serial_number is not None:
             return self._stream.serial_number
-        return self._name if _is_url(self._name) else _v4l2_identity(self._name)
+        return self._name if _is_url(self._name) else v4l2.identity(self._name)
 
     def newest(self) -> tuple[Image, float] | None:
         """The freshest picture at hand, without waiting; None while there is none."""
@@ -161,7 +155,7 @@ class OpenCvSource:
             return _HttpStream(self._name, self._clock, self._fps)
         if _is_url(self._name):
             return _FfmpegStream(self._name, self._clock, self._fps)
-        return _V4l2Stream(self._name, self._clock, self._size_px, self._fps, *self._settings)
+        return v4l2.V4l2Stream(self._name, self._clock, _READ_S, self._size_px, self._fps, *self._settings)
 
     def _grab(self) -> None:
         stalls = 0
@@ -235,7 +229,7 @@ class _HttpStream:
     def read(self) -> tuple[bytes | Image, float]:
         while True:
             picture, exposed_at_s = self._stream.read()
-            if _is_whole_jpeg(picture):
+            if jpeg.is_whole(picture):
                 return picture, self._clock.now_s() - self._delay_s if exposed_at_s is None else exposed_at_s
 
     def interrupt(self) -> None:
@@ -278,113 +272,5 @@ class _FfmpegStream:
         self._capture.release()
 
 
-class _V4l2Stream:
-    """A V4L2 device that sends MJPEG: two uncompressed ones do not fit on one USB 2 bus."""
-
-    def __init__(
-        self,
-        path: str,
-        clock: Clock,
-        size_px: tuple[int, int],
-        fps: float,
-        exposure: float | None,
-        gain: float | None,
-        white_balance_k: float | None,
-    ) -> None:
-        self._path = path
-        self._clock = clock
-        # This backend has no time-outs of its own to set; it waits 10 s unless the environment says otherwise.
-        os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(math.ceil(_READ_S)))
-        self._capture = cv2.VideoCapture(path, cv2.CAP_V4L2)
-        try:
-            if not self._capture.isOpened():
-                raise ConnectionLostError(
-                    f"{path}: cannot be opened as a V4L2 capture device; close other programs that use it, and check "
-                    "that it is the capture node and not the metadata node (`v4l2-ctl --list-devices`)"
-                )
-            self._set("pixel format", cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
-            # OpenCV keeps the width back until it knows the height.
-            self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, size_px[0])
-            self._set("height", cv2.CAP_PROP_FRAME_HEIGHT, size_px[1])
-            self._check("width", cv2.CAP_PROP_FRAME_WIDTH, size_px[0])
-            self._set("fps", cv2.CAP_PROP_FPS, fps)
-            self._set("buffers", cv2.CAP_PROP_BUFFERSIZE, _BUFFERS)
-            self._set("conversion by OpenCV", cv2.CAP_PROP_CONVERT_RGB, 0)
-            # Exposure is refused while it is automatic, colour temperature likewise.
-            self._set("automatic exposure (1 = manual)", cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
-            self._set("exposure", cv2.CAP_PROP_EXPOSURE, exposure)
-            self._set("gain", cv2.CAP_PROP_GAIN, gain)
-            self._set("automatic white balance", cv2.CAP_PROP_AUTO_WB, 0)
-            self._set("white_balance_k", cv2.CAP_PROP_WB_TEMPERATURE, white_balance_k)
-        except BaseException:
-            self._capture.release()
-            raise
-
-    def read(self) -> tuple[bytes | Image, float]:
-        while True:
-            if not self._capture.grab():
-                if not Path(self._path).exists():
-                    raise ConnectionLostError(f"{self._path}: the camera is gone; plug it in and open it again")
-                raise DeviceTimeoutError(f"{self._path}: no picture within {_READ_S:g} s")
-            stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-            if abs(self._clock.now_s() - stamp_s) > _STAMP_TRUSTED_WITHIN_S:
-                raise DeviceFaultError(
-                    f"{self._path}: stamps its pictures {stamp_s:.3f} s when CLOCK_MONOTONIC is "
-                    f"{self._clock.now_s():.3f} s; without true stamps no picture can be called fresh"
-                )
-            good, raw = self._capture.retrieve()
-            # A frame torn on the bus is dropped; the next one is a period away.
-            if good and _is_whole_jpeg(picture := np.asarray(raw, np.uint8).tobytes().rstrip(b"\0")):
-                return picture, stamp_s
-
-    def interrupt(self) -> None:
-        """Nothing: the next picture, or the time-out, ends the wait."""
-
-    def close(self) -> None:
-        self._capture.release()
-
-    def _set(self, name: str, key: int, value: float | None) -> None:
-        if value is not None:
-            self._capture.set(key, value)
-            self._check(name, key, value)
-
-    def _check(self, name: str, key: int, value: float) -> None:
-        found = self._capture.get(key)
-        if not math.isclose(found, value, rel_tol=1e-3, abs_tol=1e-3):
-            raise ConfigError(
-                f"{self._path}: {name} set to {value:g} but reads back {found:g}; `v4l2-ctl -d {self._path} "
-                "--list-ctrls --list-formats-ext` shows what this camera allows for [camera]"
-            )
-
-
 def _is_url(name: str) -> bool:
     return "://" in name
-
-
-def _is_whole_jpeg(picture: bytes) -> bool:
-    return picture.startswith(_JPEG_START) and picture.endswith(_JPEG_END)
-
-
-def _require_present(path: str) -> None:
-    if not Path(path).exists():
-        reason, step = "no such device", "plug the camera in, check the udev rules (udev/), then run `mill devices`"
-    elif not os.access(path, os.R_OK | os.W_OK):
-        reason, step = "permission denied", "install the udev rules (udev/) and plug the camera in again"
-    else:
-        return
-    raise ConnectionLostError(f"{path}: cannot be opened ({reason}); {step}")
-
-
-def _v4l2_identity(path: str) -> str:
-    node = Path("/sys/class/video4linux") / Path(path).resolve().name
-    name = _first_line(node / "name") or "V4L2 camera"
-    # video node -> USB interface -> USB device
-    serial_number = _first_line((node / "device").resolve().parent / "serial")
-    return f"{name} at {path}" if serial_number is None else f"{name} {serial_number}"
-
-
-def _first_line(path: Path) -> str | None:
-    try:
-        return path.read_text(errors="replace").strip() or None
-    except OSError:
-        return None

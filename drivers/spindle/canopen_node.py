@@ -114,8 +114,10 @@ class CanOpenNode:
         self._network[node_id] = self._node
         self._node.sdo.RESPONSE_TIMEOUT = 0
         self._node.nmt.add_heartbeat_callback(self._on_heartbeat)
-        self._node.emcy.add_callback(lambda emergency: self.emergencies.append(emergency.code))
         self._network.subscribe(TPDO1_ID + node_id, self._on_report)
+        # canopen keeps every emergency for ever.
+        self._network.unsubscribe(EMERGENCY_ID + node_id)
+        self._network.subscribe(EMERGENCY_ID + node_id, self._on_emergency)
         self._lengths = {
             _SDO_REPLY_ID + node_id: 8,
             HEARTBEAT_ID + node_id: 1,
@@ -316,6 +318,10 @@ class CanOpenNode:
             self.heard_at_s = self._clock.now_s()
         if can_id == _SDO_REPLY_ID + self.node_id and self._expected not in (None, bytes(data[1:4])):
             return  # the late answer to a request that was given up
+        if can_id not in (*self._lengths, TPDO1_ID + self.node_id):
+            return  # other nodes' frames, which canopen would read or keep without looking at their length
+        if can_id == _SDO_REPLY_ID + self.node_id and not self._node.sdo.responses.empty():
+            return  # a request has one answer, and it is there
         self._network.notify(can_id, data, self._clock.now_s())
 
     def _spill(self, what: str) -> None:
@@ -334,6 +340,9 @@ class CanOpenNode:
         self.nmt_state = state
         if state == 0:
             self.boot_ups += 1
+
+    def _on_emergency(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        self.emergencies.append(int.from_bytes(data[:2], "little"))
 
     def _on_report(self, can_id: int, data: bytearray, timestamp: float) -> None:
         self.report = bytes(data)

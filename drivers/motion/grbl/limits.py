@@ -1,15 +1,18 @@
 """The controller's own settings: read and checked once, and one of them, the travel of Z, written for the floor."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import TypeVar
 
-from drivers.errors import ConfigError, DeviceFaultError, OutOfTravelError
+from drivers.errors import ConfigError, DeviceFaultError, OutOfTravelError, ProtocolError
 from drivers.motion.grbl import machine, protocol
 from drivers.motion.grbl.codes import HOMING_REQUIRED
 from drivers.motion.grbl.session import GrblSession
 from drivers.motion.interface import Travel, Vector
 
 _STEP_MM = machine.RESOLUTION_MM
+
+_Answer = TypeVar("_Answer")
 
 
 class SoftLimits:
@@ -24,20 +27,19 @@ class SoftLimits:
         left its floor.
 
         Raises:
-            ProtocolError: it does not speak GRBL 1.1.
+            ProtocolError: it does not speak GRBL 1.1, or what it says of itself changes from one answer to the next.
             ConfigError: the version does not begin with ``firmware``, or a setting is not as ``expected`` or as mill
                 needs it.
         """
         self._session = session
         self._origin_mm = origin_mm
-        replies = session.command("$I", 2.0)
-        self.info = protocol.build_info([reply for reply in replies if isinstance(reply, protocol.Feedback)])
+        self.info = self._read_twice("build info ($I)", self._read_info)
         if not self.info.version.startswith(firmware):
             raise ConfigError(
                 f"{session.name}: firmware version {self.info.version} found, the rig file expects {firmware}; is this "
                 "the right controller? If so, correct [motion] firmware, calibrate and run `mill doctor` again"
             )
-        self.settings = self._read()
+        self.settings = self._read_twice("settings ($$)", self._read)
         self._check_expected(expected)
         if (mask := machine.report_mask_to_write(self.settings, self.info)) is not None:
             self._write(machine.REPORT_MASK, mask)
@@ -72,6 +74,19 @@ class SoftLimits:
         """A point in machine coordinates in {R}."""
         x, y, z = (round(value - origin, 6) for value, origin in zip(machine_mm, self._origin_mm, strict=True))
         return (x, y, z)
+
+    def check_target(self, target_mm: Vector) -> None:
+        """Refuse a target of {R} outside the travel.
+
+        Raises:
+            OutOfTravelError: it is outside; nothing was sent.
+        """
+        travel = self.travel
+        if not travel.contains(target_mm):
+            raise OutOfTravelError(
+                f"{self._session.name}: target {machine.shown(target_mm)} mm is outside the travel "
+                f"{machine.shown(travel.low_mm)} to {machine.shown(travel.high_mm)} mm of {{R}}; nothing was sent"
+            )
 
     def check_floor(self, z_mm: float, tip_mm: float | None) -> None:
         """Refuse a floor that cannot be, before anything is written; ``tip_mm`` is None where nobody knows it.
@@ -123,6 +138,20 @@ class SoftLimits:
             self._session.tolerated_alarm = HOMING_REQUIRED
         self._write(machine.FLOOR_SETTING, travel_mm)
 
+    def _read_twice(self, what: str, read: Callable[[], _Answer]) -> _Answer:
+        # The wire has no checksum, and this is believed until the end.
+        first, second = read(), read()
+        if first != second:
+            raise ProtocolError(
+                f"{self._session.name}: {what} differ from one answer to the next; look at the cable, the baud rate "
+                "and its shielding, then open the controller again"
+            )
+        return first
+
+    def _read_info(self) -> protocol.BuildInfo:
+        replies = self._session.command("$I", 2.0)
+        return protocol.build_info([reply for reply in replies if isinstance(reply, protocol.Feedback)])
+
     def _read(self) -> dict[int, float]:
         replies = self._session.command("$$", 3.0)
         settings = [reply for reply in replies if isinstance(reply, protocol.Setting)]
@@ -130,7 +159,15 @@ class SoftLimits:
 
     def _write(self, number: int, value: float) -> None:
         self._session.command(f"${number}={value:.3f}".rstrip("0").rstrip("."), 2.0)
-        self.settings = self._read()
+        settings = self._read()
+        known = {*settings, *self.settings} - {number}
+        others = {other for other in known if settings.get(other) != self.settings.get(other)}
+        if others:
+            raise ProtocolError(
+                f"{self._session.name}: setting ${number} was written, and ${min(others)} reads otherwise as well; "
+                "look at the cable, the baud rate and its shielding, then open the controller again"
+            )
+        self.settings = settings
         found = self.settings.get(number)
         if found is None or abs(found - value) > _STEP_MM / 2:
             raise DeviceFaultError(

@@ -13,7 +13,7 @@ RESOLUTION_MM = 0.001
 """What the firmware's three decimals keep."""
 REPORT_MASK, REPORT_INCHES, SOFT_LIMITS, HARD_LIMITS, HOMING, HOMING_DIRECTION = 10, 13, 20, 21, 22, 23
 LOCATE_RATE, SEEK_RATE, PULL_OFF = 24, 25, 27
-MAX_RATE, ACCELERATION, MAX_TRAVEL = 110, 120, 130
+STEPS_PER_MM, MAX_RATE, ACCELERATION, MAX_TRAVEL = 100, 110, 120, 130
 """The first of three, one for each axis."""
 FLOOR_SETTING = MAX_TRAVEL + 2
 
@@ -166,6 +166,14 @@ def homing_timeout_s(settings: Settings) -> float:
     return 10.0 + 1.5 * travel_mm / seek_mm_per_s + 30.0 * settings.get(PULL_OFF, 1.0) / locate_mm_per_s
 
 
+def stand_at(position_mm: Vector, target_mm: Vector, settings: Settings) -> bool:
+    """Whether axes at ``position_mm`` stand at ``target_mm``, to half a motor step and the report's rounding."""
+    return all(
+        abs(at - to) <= 0.5 / max(settings.get(STEPS_PER_MM + axis, 0.0), 1.0) + 2 * RESOLUTION_MM
+        for axis, (at, to) in enumerate(zip(position_mm, target_mm, strict=True))
+    )
+
+
 def reachable_mm_per_s(delta_mm: Vector, feed_mm_per_s: float, settings: Settings) -> float:
     """The feed, or what the axes' own maximum rates leave of it along ``delta_mm``."""
     length_mm = math.hypot(*delta_mm)
@@ -173,3 +181,8 @@ def reachable_mm_per_s(delta_mm: Vector, feed_mm_per_s: float, settings: Setting
         settings[MAX_RATE + axis] / 60.0 * length_mm / abs(delta) for axis, delta in enumerate(delta_mm) if delta != 0
     )
     return min(feed_mm_per_s, *rates) if length_mm > 0 else feed_mm_per_s
+
+
+def shown(point_mm: Vector) -> str:
+    """A point as messages show it."""
+    return "(" + ", ".join(f"{value:.4g}" for value in point_mm) + ")"

@@ -4,7 +4,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from drivers.motion.grbl.machine import RESOLUTION_MM, Settings, reachable_mm_per_s
+from drivers.motion.grbl.machine import RESOLUTION_MM, Settings, reachable_mm_per_s, stand_at
 from drivers.motion.interface import Vector
 
 
@@ -24,6 +24,10 @@ class BlockQueue:
 
     def __len__(self) -> int:
         return len(self._blocks)
+
+    def ends_at(self, position_mm: Vector, settings: Settings) -> bool:
+        """Whether axes at ``position_mm`` stand where the last move ends; True where the queue was dropped."""
+        return self._last is None or stand_at(position_mm, self._last.target_mm, settings)
 
     def add(self, position_mm: Vector, target_mm: Vector, feed_mm_per_s: float, settings: Settings) -> None:
         """An acknowledged move; it starts where the one before ends, or at ``position_mm`` if there is none."""
