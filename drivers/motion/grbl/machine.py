@@ -166,10 +166,7 @@ def homing_timeout_s(settings: Settings) -> float:
     return 10.0 + 1.5 * travel_mm / seek_mm_per_s + 30.0 * settings.get(PULL_OFF, 1.0) / locate_mm_per_s
 
 
-def reachable_mm_per_s(delta_mm: Vector, feed_mm_per_s: float, settings: Settings) -> float:
-    """The feed, or what the axes' own maximum rates leave of it along ``delta_mm``."""
-    length_mm = math.hypot(*delta_mm)
-    rates = (
-        settings[MAX_RATE + axis] / 60.0 * length_mm / abs(delta) for axis, delta in enumerate(delta_mm) if delta != 0
-    )
-    return min(feed_mm_per_s, *rates) if length_mm > 0 else feed_mm_per_s
+def rates_mm_per_s(settings: Settings) -> Vector:
+    """The greatest rates of the axes."""
+    x, y, z = (settings[MAX_RATE + axis] / 60.0 for axis in range(3))
+    return (x, y, z)
