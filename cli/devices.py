@@ -21,13 +21,13 @@ def devices(rig: Path | None, json_file: Path | None) -> None:
 
     With --rig, the ports that the rig file names are listed too, such as those of a virtual bench.
     """
-    from cli.config import GrblMotion, load_rig
+    from cli.config import load_rig
     from drivers.discovery import find_devices
 
     named: list[str] = []
     if rig is not None:
         config = load_rig(rig)
-        named += [config.motion.port] if isinstance(config.motion, GrblMotion) else []
+        named += [str(port)] if (port := config.motion.model_dump().get("port")) else []
         named += [str(channel)] if (channel := config.spindle.model_dump().get("channel")) else []
     found = find_devices(named)
     if json_file:

@@ -15,7 +15,7 @@ from typing import Any, Protocol, cast
 
 import click
 
-from cli.config import Cia402SpindleTable, GrblMotion, OpenCvCamera, OtherBackend, RigConfig, load_rig
+from cli.config import Cia402SpindleTable, GrblMotion, OpenCvCamera, OtherBackend, RigConfig, TinyGMotion, load_rig
 from cli.emulate import sorted_faults
 from cli.options import BenchChoice
 from drivers.backends import load_backend
@@ -65,7 +65,7 @@ class WiredRig:
         table = self.config.motion
         if isinstance(table, OtherBackend):
             return cast(MotionController, load_backend("motion", table.backend)(_raw(table), self.clock))
-        return open_grbl(table, self.clock)
+        return open_tinyg(table, self.clock) if isinstance(table, TinyGMotion) else open_grbl(table, self.clock)
 
     def open_spindle(self) -> Spindle:
         """Open the spindle of the rig file."""
@@ -115,6 +115,27 @@ def open_grbl(table: GrblMotion, clock: Clock) -> MotionController:
     line = open_serial(table.port, table.baud)
     try:
         return GrblController(
+            line,
+            clock,
+            origin_mm=table.origin_mm,
+            max_feed_mm_per_s=table.max_feed_mm_s,
+            expected_settings=table.settings,
+            expected_firmware=table.firmware,
+            reply_s=table.reply_s,
+        )
+    except BaseException:
+        line.close()
+        raise
+
+
+def open_tinyg(table: TinyGMotion, clock: Clock) -> MotionController:
+    """A g2core board on its serial port."""
+    from drivers.motion.serial_line import open_serial
+    from drivers.motion.tinyg.driver import TinyGController
+
+    line = open_serial(table.port, table.baud)
+    try:
+        return TinyGController(
             line,
             clock,
             origin_mm=table.origin_mm,

@@ -33,6 +33,8 @@ _WORDS = {
     _SOFT_LIMIT: "Soft limit",
     _HOMING_FAILED: "Homing cycle failed",
 }
+ALARMS = {1: _LIMIT_HIT, 2: _SOFT_LIMIT}
+"""By the numbers that the bench's faults have for them."""
 _DEFAULT_REPORT = ("line", "posx", "posy", "posz", "feed", "vel", "stat")
 
 
@@ -108,9 +110,9 @@ class TinyGBoard:
         """Of the motors, as they were at power-up."""
         return self._motor_steps_per_mm
 
-    def raise_alarm(self, status: int) -> None:
+    def raise_alarm(self, code: int) -> None:
         """Something of the board's own, not the host's doing: it comes to rest, and waits to be cleared."""
-        self._alarm(status)
+        self._alarm(ALARMS[code])
 
     def restart(self) -> None:
         """Somebody presses the board's reset button."""
@@ -122,6 +124,14 @@ class TinyGBoard:
     def change_setting(self, name: str, value: float) -> None:
         """Somebody else's hand on the board's memory."""
         self._settings.put(name, value)
+
+    def turn_soft_limits_off(self) -> None:
+        """By that hand."""
+        self.change_setting("sl", 0)
+
+    def slow_x_down(self) -> None:
+        """By that hand: half as fast as it was."""
+        self.change_setting("xvm", self._settings["xvm"] / 2)
 
     # --- wire and time ---------------------------------------------------------------------------------------------
 
