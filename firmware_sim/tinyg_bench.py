@@ -6,7 +6,8 @@ from typing import Final
 from drivers.errors import ConfigError
 from firmware_sim.faults import Fault
 from firmware_sim.mechanics import Mechanics
-from firmware_sim.tinyg_board import ALARMS, TinyGBoard
+from firmware_sim.tinyg_board import TinyGBoard
+from firmware_sim.tinyg_states import ALARMS
 
 FIRMWARE: Final = "101."
 """What its build begins with."""

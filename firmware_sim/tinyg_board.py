@@ -13,46 +13,20 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from enum import Enum, auto
 from typing import Any
 
+from firmware_sim import tinyg_states as codes
 from firmware_sim.mechanics import AxesMm, Mechanics
 from firmware_sim.tinyg_gcode import NO_FEED, BlockError, is_end, read_block, verified
 from firmware_sim.tinyg_json import read_json
 from firmware_sim.tinyg_motion import HEADROOM, Motion, beyond
+from firmware_sim.tinyg_reports import Reports
 from firmware_sim.tinyg_settings import AXES, OK, UNRECOGNIZED_NAME, Axes, Settings
+from firmware_sim.tinyg_states import Exit, State, exception_words
 from firmware_sim.tinyg_usb import LineBuffer, Usb
 
 _TICK_S = 0.001
 _BOOT_S = 0.15
-_SYNTAX_ERROR, _UNSUPPORTED_TYPE, _NOT_ACCEPTED = 111, 103, 106
-_LIMIT_HIT, _REJECTED, _KILLED, _SOFT_LIMIT, _HOMING_FAILED = 203, 204, 207, 220, 240
-_WORDS = {
-    _LIMIT_HIT: "Limit hit",
-    _KILLED: "Kill job",
-    _SOFT_LIMIT: "Soft limit",
-    _HOMING_FAILED: "Homing cycle failed",
-}
-ALARMS = {1: _LIMIT_HIT, 2: _SOFT_LIMIT}
-"""By the numbers that the bench's faults have for them."""
-_DEFAULT_REPORT = ("line", "posx", "posy", "posz", "feed", "vel", "stat")
-
-
-class State(Enum):
-    """What the machine does, when nothing moves."""
-
-    READY = 1
-    ALARM = 2
-    STOP = 3
-    END = 4
-
-
-class Exit(Enum):
-    """What follows when a feed hold stands."""
-
-    WAIT = auto()
-    KILL = auto()
-    ALARM = auto()
 
 
 class TinyGBoard:
@@ -83,10 +57,7 @@ class TinyGBoard:
         self._motion_mode = "G0"
         self._feed: float | None = None
         self._line = 0
-        self._reported: tuple[str, ...] = _DEFAULT_REPORT
-        self._last_report: dict[str, Any] = {}
-        self._report_at_s = self._now_s
-        self._last_room = self._motion.buffers_free
+        self._reports = Reports(self._now_s, self._motion.buffers_free)
 
     # --- what others of the bench do to it -------------------------------------------------------------------------
 
@@ -112,7 +83,7 @@ class TinyGBoard:
 
     def raise_alarm(self, code: int) -> None:
         """Something of the board's own, not the host's doing: it comes to rest, and waits to be cleared."""
-        self._alarm(ALARMS[code])
+        self._alarm(codes.ALARMS[code])
 
     def restart(self) -> None:
         """Somebody presses the board's reset button."""
@@ -193,16 +164,15 @@ class TinyGBoard:
         if homed is not None:
             self._state = State.STOP
             if not homed:
-                self._respond({"msg": "Homing cycle failed"}, _HOMING_FAILED, 0)
-        positions = zip(self._motion.stepper.position, self._motor_steps_per_mm, strict=True)
-        x, y, z = (round(n) / s for n, s in positions)
+                self._respond({"msg": "Homing cycle failed"}, codes.HOMING_FAILED, 0)
+        x, y, z = (round(n) / s for n, s in zip(self._motion.stepper.position, self._motor_steps_per_mm, strict=True))
         self._speed_mm_s = math.dist((x, y, z), self._shown) / _TICK_S
         if (x, y, z) != self._shown:
             self._shown = (x, y, z)
             self._mechanics.move_to(self._now_s, self._shown)
         pressed = any(self._mechanics.limit_switches())
         if pressed and not self._limits_pressed and self._settings["lim"] and not self._motion.is_homing:
-            self._alarm(_LIMIT_HIT)
+            self._alarm(codes.LIMIT_HIT)
         self._limits_pressed = pressed
 
     # --- states ----------------------------------------------------------------------------------------------------
@@ -244,7 +214,7 @@ class TinyGBoard:
         self._exit = Exit.WAIT
         if self._state is not State.ALARM:
             self._end_program()
-            self._except(_KILLED, "Job killed by ^d")
+            self._except(codes.KILLED, "Job killed by ^d")
 
     def _end_program(self) -> None:
         self._state = State.END
@@ -295,7 +265,7 @@ class TinyGBoard:
         try:
             request = read_json(text)
         except ValueError:
-            self._respond({"err": text}, _SYNTAX_ERROR, size)
+            self._respond({"err": text}, codes.SYNTAX_ERROR, size)
             return
         body: dict[str, Any] = {}
         status = OK
@@ -321,16 +291,16 @@ class TinyGBoard:
             found = self._read(name)
             return found, UNRECOGNIZED_NAME if found is None else OK
         if isinstance(value, dict | list | str):
-            return value, _UNSUPPORTED_TYPE
+            return value, codes.UNSUPPORTED_TYPE
         if self._state is State.ALARM:
-            return value, _REJECTED
+            return value, codes.REJECTED
         if self._motion.busy:
-            return value, _NOT_ACCEPTED
+            return value, codes.NOT_ACCEPTED
         return value, self._settings.write(name, float(value))
 
     def _read(self, name: str) -> Any:
         if name == "sr":
-            return {key: self._read(key) for key in self._reported}
+            return {key: self._read(key) for key in self._reports.names}
         motion = self._motion
         live: dict[str, Any] = {
             "stat": self._stat,
@@ -350,8 +320,8 @@ class TinyGBoard:
             if self._read(key) is None:
                 return wanted, UNRECOGNIZED_NAME
             if value is not True:
-                return wanted, _UNSUPPORTED_TYPE
-        self._reported = tuple(wanted)
+                return wanted, codes.UNSUPPORTED_TYPE
+        self._reports.names = tuple(wanted)
         return self._read("sr"), OK
 
     def _run_line(self, text: str) -> None:
@@ -368,7 +338,7 @@ class TinyGBoard:
             plain = verified(text)
             if self._state is State.ALARM:
                 if not is_end(plain):
-                    return _REJECTED
+                    return codes.REJECTED
                 self._state = State.STOP
             block = read_block(plain)
         except BlockError as error:
@@ -398,7 +368,7 @@ class TinyGBoard:
         wanted = (target[0], target[1], target[2])
         over = beyond(wanted, self._settings, self._motion.homed) if self._settings["sl"] else None
         if over is not None:
-            status = _SOFT_LIMIT + 1 + over
+            status = codes.SOFT_LIMIT + 1 + over
             self._alarm(status)
             return status
         self._motion.add(wanted, self._feed if self._motion_mode == "G1" else None, self._now_s)
@@ -414,24 +384,16 @@ class TinyGBoard:
             self._say({"r": body, "f": [1, status, size]})
 
     def _except(self, status: int, text: str) -> None:
-        words = _WORDS.get(status) or _WORDS.get(_SOFT_LIMIT if 220 <= status < 234 else status, "System alarm")
-        self._say({"er": {"fb": self._settings["fb"], "st": status, "msg": f"{words} - {text}"}})
+        self._say({"er": {"fb": self._settings["fb"], "st": status, "msg": f"{exception_words(status)} - {text}"}})
 
     def _welcome(self) -> None:
         names = ("fv", "fb", "fbs", "fbc", "hp", "hv", "id")
         self._say({"r": {**{name: self._read(name) for name in names}, "msg": "SYSTEM READY"}, "f": [1, 0, 0]})
 
     def _report_by_itself(self) -> None:
-        room = self._motion.buffers_free
-        if self._settings["qv"] and room != self._last_room:
-            self._say({"qr": room})
-        self._last_room = room
-        if not self._settings["sv"] or self._now_s < self._report_at_s:
-            return
-        self._report_at_s = self._now_s + self._settings["si"] / 1000
-        report = self._read("sr")
-        filtered = self._settings["sv"] == 1
-        said = {key: value for key, value in report.items() if not filtered or self._last_report.get(key) != value}
-        self._last_report = report
-        if said:
-            self._say({"sr": said})
+        settings, reports = self._settings, self._reports
+        for report in reports.queue(self._motion.buffers_free, wanted=bool(settings["qv"])):
+            self._say(report)
+        if settings["sv"] and reports.is_due(self._now_s, settings["si"] / 1000):
+            for report in reports.status(self._read("sr"), filtered=settings["sv"] == 1):
+                self._say(report)
