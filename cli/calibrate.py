@@ -10,8 +10,9 @@ import click
 
 from cli.options import BenchChoice, json_option, on_a_bench
 from cli.output import console_beside, write_json
-from cli.rig import Rig, rig_for
+from cli.rig import Rig, rig_for, traced
 from drivers.errors import ConfigError
+from drivers.recorder import NullRecorder
 
 if TYPE_CHECKING:
     from calib.calibration_file import Calibration, Provenance
@@ -99,7 +100,6 @@ def calibrate_rig(
     console: Any,
     *,
     recipe: str = "default",
-    recorder: Any = None,
 ) -> "Calibration":
     """The automatic procedure with a progress bar; the machine is homed and the drill at rest."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -129,7 +129,7 @@ def calibrate_rig(
             spindle_identity=spindle_identity,
             camera_settings=bench.config.camera_settings,
             provenance=provenance(find_tip),
-            recorder=recorder,
+            recorder=traced(NullRecorder(), bench),
             progress=show,
         )
 
@@ -157,7 +157,9 @@ def _verify(
 ) -> None:
     from calib import procedure
 
-    seen = procedure.verify(calibration, motion, camera, find_tip.find, clock=bench.clock)
+    seen = procedure.verify(
+        calibration, motion, camera, find_tip.find, clock=bench.clock, recorder=traced(NullRecorder(), bench)
+    )
     console.print(
         f"[bold green]verified[/] {path}: off by {seen.error_mm.round(3).tolist()} mm, {seen.error_px:.2f} px, "
         f"{seen.distance_sigmas:.1f} sigmas"

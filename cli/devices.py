@@ -21,15 +21,7 @@ def devices(rig: Path | None, json_file: Path | None) -> None:
 
     With --rig, the ports that the rig file names are listed too, such as those of a virtual bench.
     """
-    from cli.config import load_rig
-    from drivers.discovery import find_devices
-
-    named: list[str] = []
-    if rig is not None:
-        config = load_rig(rig)
-        named += [str(port)] if (port := config.motion.model_dump().get("port")) else []
-        named += [str(channel)] if (channel := config.spindle.model_dump().get("channel")) else []
-    found = find_devices(named)
+    found = found_devices(rig)
     if json_file:
         write_json(json_file, "devices", seed=None, devices=[asdict(device) for device in found])
     if json_file and str(json_file) == "-":
@@ -45,6 +37,19 @@ def devices(rig: Path | None, json_file: Path | None) -> None:
         rows.append((device.kind, name, now, *about, state(device)))
     for line in columns(("kind", "use this name", "is now", "USB id", "serial number", "product", "state"), rows):
         click.echo(line)
+
+
+def found_devices(rig: Path | None) -> "list[FoundDevice]":
+    """What is plugged in, and the ports that the rig file names."""
+    from cli.config import load_rig
+    from drivers.discovery import find_devices
+
+    named: list[str] = []
+    if rig is not None:
+        config = load_rig(rig)
+        named += [str(port)] if (port := config.motion.model_dump().get("port")) else []
+        named += [str(channel)] if (channel := config.spindle.model_dump().get("channel")) else []
+    return find_devices(named)
 
 
 def state(device: "FoundDevice") -> str:

@@ -58,6 +58,8 @@ def doctor(chosen: BenchChoice, json_file: Path | None, no_motion: bool, recerti
             console.print(f"compared with the certificate of {earlier.date}", style="dim")
         for check in examine(replace(patient, earlier=earlier), seen.append, _words):
             checks.append(check)
+            if bench.trace is not None:
+                bench.trace.event("check", **check.to_json())
             _show(console, check)
     passed = all(check.passed for check in checks)
     now = datetime.now(UTC)
@@ -123,9 +125,8 @@ def _words(error: Exception) -> str:
 
 
 def _show(console: Any, check: "Check") -> None:
-    value = f"{check.value:.4g}" if isinstance(check.value, float) else check.value
     mark = "[green]pass[/]" if check.passed else "[bold red]FAIL[/]"
-    line = f"{mark}  {check.name:<38} {value} {check.unit:<6} [dim]{check.limit}[/]"
+    line = f"{mark}  {check.name:<40} {check.shown}  [dim]{check.limit}[/]"
     console.print(line, highlight=False, soft_wrap=True)
     if check.advice and not check.passed:
         console.print(f"      {check.advice}", highlight=False, soft_wrap=True, style="yellow")

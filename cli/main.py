@@ -27,6 +27,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "evaluate": ("cli.train", "Measure a network on specimens and rigs it never saw."),
     "experiment": ("cli.experiment", "Repeat the paper's experiments on virtual rigs."),
     "runs": ("cli.runs", "List, show, report and replay recorded runs."),
+    "trace": ("cli.trace", "Show, cut and export what --trace has written."),
+    "support-bundle": ("cli.support_bundle", "Pack what a maintainer needs to help, without personal data."),
     "completion": ("cli.completion", "Print the shell's completion script."),
 }
 
@@ -42,7 +44,7 @@ class LazyGroup(click.Group):
         """Import one command, or None where there is none of this name."""
         if cmd_name not in COMMANDS:
             return None
-        command = getattr(importlib.import_module(COMMANDS[cmd_name][0]), cmd_name)
+        command = getattr(importlib.import_module(COMMANDS[cmd_name][0]), cmd_name.replace("-", "_"))
         assert isinstance(command, click.Command)
         return command
 

@@ -10,10 +10,10 @@ import click
 from drivers.errors import ConfigError
 
 
-def _writable(_context: click.Context, _parameter: click.Parameter, path: Path | None) -> Path | None:
+def _writable(_context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
     """Refused before anything moves: a run's results must have a place to go to."""
     if path is not None and not path.parent.is_dir():
-        raise ConfigError(f"{path}: no folder {path.parent}; make it, or name another --json file")
+        raise ConfigError(f"{path}: no folder {path.parent}; make it, or name another {parameter.opts[0]} file")
     return path
 
 
@@ -46,6 +46,14 @@ json_option = click.option(
     metavar="FILE",
     help="Write the results as JSON; - for stdout.",
 )
+trace_option = click.option(
+    "--trace",
+    "trace_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    callback=_writable,
+    metavar="FILE",
+    help="Write down every byte on the wires, every call and decision (docs/trace.md).",
+)
 
 
 @dataclass(frozen=True)
@@ -57,6 +65,7 @@ class BenchChoice:
     specimen: Path | None = None
     seed: int = 0
     faults: tuple[str, ...] = ()
+    trace_file: Path | None = None
 
     @property
     def drawn_from(self) -> int | None:
@@ -65,13 +74,19 @@ class BenchChoice:
 
 
 def on_a_bench(command: Callable[..., None]) -> Callable[..., None]:
-    """Add --rig, --emulate, --specimen, --seed, --fault; the command's first argument is a ``BenchChoice`` of them."""
+    """Add the options of a bench and --trace; the command's first argument is a ``BenchChoice`` of them."""
 
     @wraps(command)
     def with_choice(
-        rig: Path | None, emulate: bool, specimen: Path | None, seed: int, faults: tuple[str, ...], **others: object
+        rig: Path | None,
+        emulate: bool,
+        specimen: Path | None,
+        seed: int,
+        faults: tuple[str, ...],
+        trace_file: Path | None,
+        **others: object,
     ) -> None:
-        command(BenchChoice(rig, emulate, specimen, seed, faults), **others)
+        command(BenchChoice(rig, emulate, specimen, seed, faults, trace_file), **others)
 
     # The last one added is the first that the help shows.
-    return rig_option(emulate_option(specimen_option(seed_option(fault_option(with_choice)))))
+    return rig_option(emulate_option(specimen_option(seed_option(fault_option(trace_option(with_choice))))))

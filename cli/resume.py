@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cli.options import BenchChoice, json_option, rig_option
+from cli.options import BenchChoice, json_option, rig_option, trace_option
 from cli.output import columns, console_beside
 from cli.runs import folder_option, located
 from cli.window import Window, mill_window
@@ -25,8 +25,16 @@ if TYPE_CHECKING:
 @click.option(
     "--record", type=click.Path(path_type=Path), metavar="DIR", help="Folder of the new record. [default: runs/DATE]"
 )
+@trace_option
 @json_option
-def resume(run_folder: Path, rig: Path | None, folder: Path, record: Path | None, json_file: Path | None) -> None:
+def resume(
+    run_folder: Path,
+    rig: Path | None,
+    folder: Path,
+    record: Path | None,
+    trace_file: Path | None,
+    json_file: Path | None,
+) -> None:
     """Go on with a window whose run was stopped, held, or ended by a crash.
 
     Homes, verifies the drill tip in both cameras, and looks whether the skull lies where it lay. Then the kerf's floor
@@ -49,7 +57,7 @@ def resume(run_folder: Path, rig: Path | None, folder: Path, record: Path | None
     _show(standing, job, console_beside(json_file))
     header = (("resumes", str(run.folder)),)
     calibration = run.folder / "calibration.toml"
-    chosen = BenchChoice(rig)
+    chosen = BenchChoice(rig, trace_file=trace_file)
     mill_window(Window("resume", chosen, lambda _: job, calibration, record, json_file, standing, header))
 
 

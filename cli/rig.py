@@ -9,7 +9,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -23,7 +24,11 @@ from drivers.camera.interface import StereoCamera
 from drivers.clock import Clock, SystemClock
 from drivers.errors import ConfigError, ConnectionLostError, DeviceTimeoutError
 from drivers.motion.interface import MotionController
+from drivers.motion.transport import SerialLine
+from drivers.recorder import Recorder, TracedRecorder
 from drivers.spindle.interface import Spindle
+from drivers.trace_file import Trace
+from drivers.traced_devices import TracedMotion, TracedSpindle
 
 EMULATOR_START_S = 120.0
 """The first start of a virtual bench compiles its renderer."""
@@ -35,6 +40,7 @@ class Rig(Protocol):
 
     config: RigConfig
     clock: Clock
+    trace: Trace | None
 
     def open_motion(self) -> MotionController:
         """Open the motion controller."""
@@ -59,27 +65,43 @@ class WiredRig:
     config: RigConfig
     clock: Clock
     truth_file: Path | None = None
+    trace: Trace | None = None
+    """Takes down what passes over the wires, what is asked of the devices, and what the program decides."""
 
     def open_motion(self) -> MotionController:
         """Open the motion controller of the rig file."""
+        if self.trace is None:
+            return self._motion()
+        with self.trace.call("motion", "open"):
+            return TracedMotion(self._motion(), self.trace)
+
+    def _motion(self) -> MotionController:
         table = self.config.motion
         if isinstance(table, OtherBackend):
             return cast(MotionController, load_backend("motion", table.backend)(_raw(table), self.clock))
-        return open_tinyg(table, self.clock) if isinstance(table, TinyGMotion) else open_grbl(table, self.clock)
+        if isinstance(table, TinyGMotion):
+            return open_tinyg(table, self.clock, self.trace)
+        return open_grbl(table, self.clock, self.trace)
 
     def open_spindle(self) -> Spindle:
         """Open the spindle of the rig file."""
+        if self.trace is None:
+            return self._spindle()
+        with self.trace.call("spindle", "open"):
+            return TracedSpindle(self._spindle(), self.trace)
+
+    def _spindle(self) -> Spindle:
         table = self.config.spindle
         if isinstance(table, OtherBackend):
             return cast(Spindle, load_backend("spindle", table.backend)(_raw(table), self.clock))
-        return open_cia402(table, self.clock)
+        return open_cia402(table, self.clock, self.trace)
 
     def open_camera(self) -> StereoCamera:
         """Open the stereo camera of the rig file."""
         table = self.config.camera
         if isinstance(table, OtherBackend):
             return cast(StereoCamera, load_backend("camera", table.backend)(_raw(table), self.clock))
-        return open_opencv(table, self.clock)
+        return open_opencv(table, self.clock, self.trace)
 
     def truth_now(self) -> dict[str, Any] | None:
         """The newest truth of a virtual bench; None on hardware."""
@@ -103,16 +125,20 @@ class WiredRig:
         return truth
 
 
+def traced(recorder: Recorder, bench: Rig) -> Recorder:
+    """The recorder, and the bench's trace beside it if there is one."""
+    return recorder if bench.trace is None else TracedRecorder(recorder, bench.trace)
+
+
 def _raw(table: OtherBackend) -> Mapping[str, Any]:
     return table.model_dump(exclude={"backend"})
 
 
-def open_grbl(table: GrblMotion, clock: Clock) -> MotionController:
+def open_grbl(table: GrblMotion, clock: Clock, trace: Trace | None = None) -> MotionController:
     """GRBL on its serial port."""
     from drivers.motion.grbl.driver import GrblController
-    from drivers.motion.serial_line import open_serial
 
-    line = open_serial(table.port, table.baud)
+    line = _serial_line(table.port, table.baud, trace)
     try:
         return GrblController(
             line,
@@ -128,12 +154,11 @@ def open_grbl(table: GrblMotion, clock: Clock) -> MotionController:
         raise
 
 
-def open_tinyg(table: TinyGMotion, clock: Clock) -> MotionController:
+def open_tinyg(table: TinyGMotion, clock: Clock, trace: Trace | None = None) -> MotionController:
     """A g2core board on its serial port."""
-    from drivers.motion.serial_line import open_serial
     from drivers.motion.tinyg.driver import TinyGController
 
-    line = open_serial(table.port, table.baud)
+    line = _serial_line(table.port, table.baud, trace)
     try:
         return TinyGController(
             line,
@@ -149,12 +174,28 @@ def open_tinyg(table: TinyGMotion, clock: Clock) -> MotionController:
         raise
 
 
-def open_cia402(table: Cia402SpindleTable, clock: Clock) -> Spindle:
+def _serial_line(port: str, baud: int, trace: Trace | None) -> SerialLine:
+    """A motion controller's port, with a trace of what passes if one is asked for."""
+    from drivers.motion.serial_line import open_serial
+
+    line = open_serial(port, baud)
+    if trace is None:
+        return line
+    from drivers.trace import TracedLine
+
+    return TracedLine(line, trace, "motion")
+
+
+def open_cia402(table: Cia402SpindleTable, clock: Clock, trace: Trace | None = None) -> Spindle:
     """A CiA 402 drive on its bus."""
     from drivers.spindle.canbus import open_bus
     from drivers.spindle.cia402 import Cia402Spindle
 
     bus = open_bus(table.interface, table.channel, table.bitrate)
+    if trace is not None:
+        from drivers.trace import TracedBus
+
+        bus = TracedBus(bus, trace, "spindle")
     try:
         return Cia402Spindle(
             bus, clock, node_id=table.node_id, max_speed_rpm=table.max_speed_rpm, heartbeat_s=table.heartbeat_s
@@ -164,13 +205,13 @@ def open_cia402(table: Cia402SpindleTable, clock: Clock) -> Spindle:
         raise
 
 
-def open_opencv(table: OpenCvCamera, clock: Clock) -> StereoCamera:
+def open_opencv(table: OpenCvCamera, clock: Clock, trace: Trace | None = None) -> StereoCamera:
     """Two OpenCV sources as one stereo pair."""
     from drivers.camera.opencv import OpenCvSource
-    from drivers.camera.stereo import StereoPair
+    from drivers.camera.stereo import FrameSource, StereoPair
 
-    def source(device: str) -> OpenCvSource:
-        return OpenCvSource(
+    def source(device: str, wire: str) -> FrameSource:
+        opened = OpenCvSource(
             device,
             clock,
             size_px=table.size_px,
@@ -179,10 +220,15 @@ def open_opencv(table: OpenCvCamera, clock: Clock) -> StereoCamera:
             gain=table.gain,
             white_balance_k=table.white_balance_k,
         )
+        if trace is None:
+            return opened
+        from drivers.trace import TracedSource
 
-    left = source(table.left)
+        return TracedSource(opened, trace, wire)
+
+    left = source(table.left, "left")
     try:
-        right = source(table.right)
+        right = source(table.right, "right")
     except BaseException:
         left.close()
         raise
@@ -206,13 +252,34 @@ def rig_for(chosen: BenchChoice, *, plants: Collection[str] = ()) -> Iterator[Ri
             raise click.UsageError("--specimen belongs to --emulate; with --rig the specimen is what lies on the bench")
         if chosen.faults:
             raise click.UsageError("--fault belongs to --emulate or `mill emulate`; no fault is planted on a rig")
-        yield WiredRig(load_rig(chosen.rig_file), SystemClock())
+        with _traced(WiredRig(load_rig(chosen.rig_file), SystemClock()), chosen) as rig:
+            yield rig
         return
     planted, own = sorted_faults(chosen.faults)
     if others := [fault for fault in own if fault.name.partition(".")[0] not in plants]:
         raise click.UsageError(f"--fault {others[0]}: belongs to `mill run --emulate`, which mills")
-    with _served_bench(chosen.specimen, chosen.seed, [str(fault) for fault in planted]) as rig:
+    with (
+        _served_bench(chosen.specimen, chosen.seed, [str(fault) for fault in planted]) as served,
+        _traced(served, chosen) as rig,
+    ):
         yield rig
+
+
+@contextlib.contextmanager
+def _traced(rig: WiredRig, chosen: BenchChoice) -> Iterator[WiredRig]:
+    """The rig with a trace, if one is asked for."""
+    if chosen.trace_file is None:
+        yield rig
+        return
+    header = {
+        "version": version("micromill"),
+        "command": click.get_current_context().info_name,
+        "seed": chosen.drawn_from,
+        "faults": list(chosen.faults),
+        "rig": rig.config.model_dump(mode="json", by_alias=True),
+    }
+    with Trace(chosen.trace_file, rig.clock, header, on_loss=lambda words: click.echo(words, err=True)) as trace:
+        yield replace(rig, trace=trace)
 
 
 @contextlib.contextmanager

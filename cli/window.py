@@ -14,7 +14,7 @@ from cli.doctor import CERTIFICATES
 from cli.emulate import recorded, sorted_faults, spoiled
 from cli.options import BenchChoice
 from cli.output import console_beside, write_json
-from cli.rig import Rig, rig_for
+from cli.rig import Rig, rig_for, traced
 from drivers.device import closed_in_the_end
 from drivers.errors import ConfigError
 
@@ -119,6 +119,8 @@ def mill_window(asked: Window) -> None:
             with RunRecorder(
                 folder, header, bench.clock, frame_period_s=asked.picture_period_s, on_loss=console.print
             ) as recorder:
+                if bench.trace is not None:
+                    bench.trace.event("record", folder=str(folder))
                 known.save(folder / "calibration.toml")
                 reader = spoiled(completion, own_faults, bench.clock, seed=chosen.seed)
                 finders = Finders(tip.find, landmarks.find, reader, match)
@@ -130,7 +132,7 @@ def mill_window(asked: Window) -> None:
                     bench.config.tool.center_from_tip_mm,
                     bench.config.bench.park_mm,
                 )
-                scorer = Scorer(recorded(recorder, own_faults, bench.clock), bench)
+                scorer = Scorer(traced(recorded(recorder, own_faults, bench.clock), bench), bench)
                 with watched(console) as tell, _guarded(motion, bench) as guard:
                     result = loop.run(
                         replace(rig_, guard=guard),

@@ -26,6 +26,14 @@ class Check:
     passed: bool
     advice: str = ""
 
+    @property
+    def shown(self) -> str:
+        """The value for people, with its unit."""
+        if not isinstance(self.value, float):
+            return f"{self.value} {self.unit}".strip()
+        number = f"{self.value:.0f}" if abs(self.value) >= 1000 else f"{self.value:.4g}"
+        return f"{number} {self.unit}".strip()
+
     def to_json(self) -> dict[str, float | str]:
         """As the results file has it."""
         verdict = "pass" if self.passed else "fail"

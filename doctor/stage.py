@@ -9,14 +9,16 @@ from scipy.spatial.transform import Rotation
 
 from calib.calibration_file import Calibration
 from calib.procedure import calibrate
-from calib.setpoints import VERIFY_SETPOINT
+from calib.setpoints import VERIFY_SETPOINT, default_setpoints
 from doctor.check import Check, Patient, at_most
 from drivers.camera.interface import StereoCamera
 from drivers.errors import CalibrationError, DetectionError
-from drivers.motion.interface import MotionController, Vector
+from drivers.motion.interface import MotionController, Travel, Vector
 
 Floats = npt.NDArray[np.float64]
 
+INNER = Travel((1.0, -18.0, 0.0), (9.0, -2.0, 9.0))
+"""Within the box of the calibration: an axis that is wrong must not carry the drill out of the pictures."""
 RUN_UP_MM = 1.5
 FRAMES = 4
 ROUNDS = 2
@@ -39,7 +41,7 @@ def examine(patient: Patient, keep: Callable[[Calibration], None]) -> Iterator[C
         try:
             found = calibrate(
                 motion, camera, patient.find_tip, clock=patient.clock, tool_offset_mm=patient.center_from_tip_mm,
-                frames_per_setpoint=2,
+                setpoints_mm=default_setpoints(travel=INNER), frames_per_setpoint=2,
             )  # fmt: skip
         except (CalibrationError, DetectionError) as error:
             yield Check("eyes: left, right and mirrored", str(error), "", "a drill that moves as it should", False)

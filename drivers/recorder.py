@@ -5,6 +5,8 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from drivers.trace_file import Trace
+
 
 class Recorder(Protocol):
     """Takes events in the order they happened; the caller's clock stamps them."""
@@ -24,3 +26,20 @@ class NullRecorder:
 
     def frame(self, name: str, image: npt.NDArray[np.uint8]) -> None:
         """Drop the picture."""
+
+
+class TracedRecorder:
+    """Passes everything on, and writes the events into a trace as well."""
+
+    def __init__(self, recorder: Recorder, trace: Trace) -> None:
+        self._recorder = recorder
+        self._trace = trace
+
+    def event(self, kind: str, **fields: Any) -> None:
+        """Into both."""
+        self._trace.event(kind, **fields)
+        self._recorder.event(kind, **fields)
+
+    def frame(self, name: str, image: npt.NDArray[np.uint8]) -> None:
+        """Pass it on."""
+        self._recorder.frame(name, image)

@@ -5,14 +5,12 @@ r"""The run's record: a folder that tells the truth even when the process is kil
     frames/*.jpg      pictures, at a bounded rate; the first thing dropped when the disk fills
     result.json       the outcome, written at close, atomically
 
-A line of ``events.jsonl`` is ``CRC32 JSON\n``: eight hex digits over the JSON's bytes. Keys keep the order they were
-given in, and numbers are rounded to the nanometre and microsecond, so that one seed gives the same bytes twice.
+``events.jsonl`` holds checked lines (``drivers.checked_lines``). Numbers are rounded to the nanometre and microsecond,
+so that one seed gives the same bytes twice.
 """
 
-import errno
 import json
 import os
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +20,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from drivers.checked_lines import LineWriter, plain, read_lines
 from drivers.clock import Clock
 from drivers.errors import ConfigError
 
@@ -62,12 +61,10 @@ class RunRecorder:
         self._frame_at_s: dict[str, float] = {}
         self._frames = 0
         self._frames_lost = False
-        self._full = False
         self._on_loss = on_loss
         try:
             (folder / "frames").mkdir(parents=True, exist_ok=True)
-            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
-            self._file: int | None = os.open(folder / "events.jsonl", flags, 0o644)
+            self._lines = LineWriter(folder / "events.jsonl")
         except FileExistsError as error:
             raise ConfigError(f"{folder}: holds a run already; choose another folder") from error
         write_atomically(folder / "header.json", {"schema": SCHEMA, **header})
@@ -78,24 +75,13 @@ class RunRecorder:
         Raises:
             OSError: the disk takes no more; only the first time, so that what makes the machine safe is not held up.
         """
-        if self._file is None or self._full:
-            return
-        record = {"t": round(self._clock.now_s() - self._start_s, 6), "kind": kind, **_plain(fields)}
-        body = json.dumps(record, separators=(",", ":"), allow_nan=False).encode()
-        line = b"%08x %s\n" % (zlib.crc32(body), body)
-        try:
-            if os.write(self._file, line) < len(line):
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            if kind in SYNCED:
-                os.fdatasync(self._file)
-        except OSError as error:
-            self._full = True
-            raise OSError(error.errno, error.strerror, str(self.folder / "events.jsonl")) from error
+        record = {"t": round(self._clock.now_s() - self._start_s, 6), "kind": kind, **plain(fields)}
+        self._lines.append(record, sync=kind in SYNCED)
 
     def frame(self, name: str, image: npt.NDArray[np.uint8]) -> None:
         """Keep a picture unless one of this name was kept just now."""
         now_s = self._clock.now_s()
-        if self._file is None or now_s - self._frame_at_s.get(name, float("-inf")) < self._frame_period_s:
+        if not self._lines.is_open or now_s - self._frame_at_s.get(name, float("-inf")) < self._frame_period_s:
             return
         import cv2
 
@@ -116,14 +102,11 @@ class RunRecorder:
 
     def close(self, result: Mapping[str, Any] | None = None) -> None:
         """Write the result, and close; a second call does nothing."""
-        if self._file is None:
+        if not self._lines.is_open:
             return
-        if not self._full:
-            os.fdatasync(self._file)
-        os.close(self._file)
-        self._file = None
+        self._lines.close()
         if result is not None:
-            write_atomically(self.folder / "result.json", _plain(result))
+            write_atomically(self.folder / "result.json", plain(result))
 
     def __enter__(self) -> Self:
         return self
@@ -155,30 +138,16 @@ def read_run(folder: Path) -> Run:
     Raises:
         ConfigError: no run there, or a line that is damaged in the middle of the record.
     """
+    for name in ("header.json", "events.jsonl"):
+        if not (folder / name).is_file():
+            raise ConfigError(f"{folder}: no run here ({name} is missing)")
     try:
         header = json.loads((folder / "header.json").read_text())
-        lines = (folder / "events.jsonl").read_bytes().split(b"\n")
-    except FileNotFoundError as error:
-        raise ConfigError(f"{folder}: no run here ({Path(error.filename).name} is missing)") from error
     except ValueError as error:
         raise ConfigError(f"{folder}/header.json: {error}; the record is damaged, restore it from a copy") from error
     if header.get("schema") != SCHEMA:
         raise ConfigError(f"{folder}/header.json: schema {header.get('schema')!r}, this version reads {SCHEMA}")
-    events: list[dict[str, Any]] = []
-    damage = None
-    for number, line in enumerate(lines, start=1):
-        if not line:
-            continue
-        checksum, _, body = line.partition(b" ")
-        if checksum == b"%08x" % zlib.crc32(body):
-            events.append(json.loads(body))
-        elif number == len(lines):
-            damage = f"events.jsonl line {number}: torn, as a killed process leaves it; the rest is whole"
-        else:
-            raise ConfigError(
-                f"{folder}/events.jsonl line {number}: the checksum does not match; the record is damaged, "
-                "restore it from a copy"
-            )
+    events, damage = read_lines(folder / "events.jsonl")
     result_file = folder / "result.json"
     try:
         result = json.loads(result_file.read_text()) if result_file.exists() else None
@@ -201,20 +170,3 @@ def write_atomically(path: Path, content: Any) -> None:
         os.fsync(folder)
     finally:
         os.close(folder)
-
-
-def _plain(value: Any) -> Any:
-    """JSON of numpy and rounded floats; NaN and infinity become None, for JSON has neither."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, float | np.floating):
-        return round(float(value), 6) if np.isfinite(value) else None
-    if isinstance(value, np.integer):
-        return int(value)
-    return value

@@ -39,10 +39,7 @@ class BranchingRecorder(RunRecorder):
         """Go on in a copy; what another process writes to the old one does not concern this one any more."""
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(self.folder, folder)
-        if self._file is not None:
-            own = os.open(folder / "events.jsonl", os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
-            os.dup2(own, self._file, inheritable=False)
-            os.close(own)
+        self._lines.go_on_in(folder / "events.jsonl")
         self.folder = folder
 
 

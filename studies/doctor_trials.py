@@ -112,7 +112,7 @@ def examined(seed: int, faults: Sequence[str], earlier: Certificate | None) -> t
 
 def named(check: Check) -> str:
     """A finding on one line."""
-    return f"{check.name}: {check.value} {check.unit}, {check.limit}. {check.advice}".strip()
+    return f"{check.name}: {check.shown}, {check.limit}. {check.advice}".strip()
 
 
 def examine_one(seed: int, faults: Sequence[str], out: Path) -> None:
@@ -159,7 +159,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args(words)
     given.out.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(given.workers) as pool:
+    with ProcessPoolExecutor(given.workers, max_tasks_per_child=1) as pool:
         jobs = [
             pool.submit(examine_one, seed, list(NAMED) if seed in given.fault_seeds else [], given.out)
             for seed in given.seeds

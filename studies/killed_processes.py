@@ -128,17 +128,16 @@ class _Killer:
             assert self._program.stdout is not None
             if select.select([self._program.stdout], [], [], 0.0)[0]:
                 said = self._program.stdout.readline().split()
-                if len(said) != 2:
-                    raise RuntimeError(f"the program ended before it ran circles: {' '.join(said)}")
+                if not said:
+                    self._give_up()
+                    return False
                 self._supervisor = int(said[1])
                 self._kill_at_s = now_s + float(self.rng.uniform(0.3, 0.3 + 2 * pi * RADIUS_MM / FEED_MM_S))
             elif now_s > self._deadline_s:
                 raise RuntimeError(f"the program ran no circles within {START_S:g} s")
         elif self._killed_s is None:
             if self._program.poll() is not None:
-                # Nobody has killed it: the load of this machine may have kept it from giving signs of life.
-                self.ended_by_themselves += 1
-                self._program, self._kill_at_s = None, None
+                self._give_up()
             elif now_s >= self._kill_at_s:
                 self._kill()
                 self._killed_s = self.bench.now_s
@@ -150,6 +149,13 @@ class _Killer:
             if now_s - self._killed_s > WATCHED_S:
                 self._end()
         return False
+
+    def _give_up(self) -> None:
+        """Nobody has killed it: the load of this machine may have kept it from giving signs of life."""
+        self.ended_by_themselves += 1
+        if self.ended_by_themselves > self.kills:
+            raise RuntimeError("the program ends by itself again and again; is the machine busy?")
+        self._program, self._kill_at_s = None, None
 
     @property
     def _victim(self) -> str:

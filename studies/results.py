@@ -3,7 +3,8 @@
     python -m studies.results --out docs/results.md run-0.json run-1.json ...
 
 where each JSON comes from ``mill run --emulate --seed N --json run-N.json``, from ``python -m studies.virtual_runs``,
-from ``mill experiment`` or from ``python -m benchmarks.stop_latency``.
+from ``mill experiment``, from ``python -m benchmarks.stop_latency``, or from ``studies.fault_table``, ``killed_runs``,
+``killed_processes`` and ``doctor_trials``.
 """
 
 import argparse
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from studies.safety_results import SECTIONS
 from studies.tables import tables
 from studies.trials import wilson
 from vision.runtime import WEIGHTS, read_manifest
@@ -23,7 +25,8 @@ def page(manifest: dict[str, dict[str, Any]], results: Sequence[dict[str, Any]])
     """The page, as Markdown."""
     experiments = [result for result in results if result["command"].startswith("experiment")]
     latencies = [result for result in results if result["command"] == "stop latency"]
-    runs = [result for result in results if result not in experiments and result not in latencies]
+    others = [result for result in results if result["command"] in SECTIONS]
+    runs = [result for result in results if result not in experiments + latencies + others]
     lines = [
         "# Results",
         "",
@@ -43,6 +46,8 @@ def page(manifest: dict[str, dict[str, Any]], results: Sequence[dict[str, Any]])
         lines += _experiment(experiment)
     for latency in latencies:
         lines += _latency(latency)
+    for other in others:
+        lines += SECTIONS[other["command"]](other)
     lines += [
         f"The figures of `milling/limits.py` and `milling/thickness.py` were chosen on seeds {CHOSEN_ON}:",
         "only others are a fair test.",

@@ -46,7 +46,7 @@ def _row(check: Check, earlier: Certificate | None) -> dict[str, Any]:
     return {
         "name": check.name.partition(": ")[2],
         "full_name": check.name,
-        "value": f"{check.value:.4g} {check.unit}" if number else str(check.value),
+        "value": check.shown,
         "limit": f"{check.limit} {check.unit if number else ''}",
         "before": "" if before is None else f"{before:.4g}",
         "passed": check.passed,

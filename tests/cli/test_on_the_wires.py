@@ -30,6 +30,7 @@ from drivers.lock import owner_of
 from drivers.motion.grbl.driver import GrblController
 from drivers.motion.serial_line import open_serial
 from drivers.spindle.cia402 import Cia402Spindle
+from drivers.trace_file import read_trace
 
 HOLDER = """
 import signal, sys
@@ -113,6 +114,19 @@ def test_jog_homes_and_goes_where_it_is_told(bench: Path, capsys: pytest.Capture
     assert capsys.readouterr().out == "idle  tip in {R}: x 20.000  y 5.000  z 15.000 mm\n"
     assert mill("jog", "--rig", str(bench), "--to", "20", "5", "99") == 3
     assert "mill: " in capsys.readouterr().err
+
+
+def test_a_trace_of_a_jog_begins_with_its_opening_and_ends_with_its_closing(bench: Path, tmp_path: Path) -> None:
+    file = tmp_path / "jog.jsonl"
+    assert mill("jog", "--rig", str(bench), "--home", "--trace", str(file)) == 0
+    log = read_trace(file)
+    assert log.header["command"] == "jog"
+    assert log.header["rig"]["motion"]["backend"] == "grbl"
+    assert [entry.data["verb"] for entry in log.entries if entry.kind == "call"] == [
+        "open", "home", "status", "status", "close"
+    ]  # fmt: skip
+    assert "$H\n" in [entry.data for entry in log.entries if entry.kind == "out"]
+    assert mill("jog", "--rig", str(bench), "--home", "--trace", str(file)) == 2
 
 
 def test_a_move_before_homing_names_the_next_step(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -85,17 +85,21 @@ def test_an_absent_device_names_path_reason_and_next_step(rig: Path, capsys: pyt
         assert part.lower() in said.lower()
 
 
-def test_doctor_goes_on_to_the_next_device(rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_doctor_goes_on_to_the_next_device(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     results = tmp_path / "doctor.json"
     assert mill("doctor", "--rig", str(rig), "--json", str(results)) == 1
     checks = json.loads(results.read_text())["checks"]
-    assert [(check["name"], check["verdict"]) for check in checks] == [
+    devices = [check for check in checks if not check["name"].startswith("computer: ")]
+    assert [(check["name"], check["verdict"]) for check in devices] == [
         ("motion: answers", "fail"),
         ("spindle: answers", "fail"),
         ("camera: answers", "fail"),
     ]
-    assert "/dev/mill-spindle" in checks[1]["value"]
-    assert "3 of 3 checks failed" in capsys.readouterr().out
+    assert "/dev/mill-spindle" in devices[1]["value"]
+    assert f"3 of {len(checks)} checks failed" in capsys.readouterr().out
 
 
 def test_stop_tries_both_devices_and_names_what_it_could_not_stop(

@@ -521,3 +521,9 @@ def test_every_piece_of_news_is_weighed_before_the_next_question(news: str) -> N
         case _:
             ledger.seen(0, completion=0.2, upper=0.3, exposed_at_s=2.0)
     assert ledger.points[1].left_probability == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize(("maybe_mm", "share"), [(0.129, 0.25), (0.131, 1.0)])
+def test_what_may_hold_the_flap_is_bone_thicker_than_the_published_criterion(maybe_mm: float, share: float) -> None:
+    ledger, _ = ring(4, Said(maybe_mm=maybe_mm, maybe=0.75), cut_mm=0.1)
+    assert ledger.bridge_share == pytest.approx(share)

@@ -71,3 +71,40 @@ def test_the_stop_is_told_beside_its_reference() -> None:
     text = page({}, [{"command": "stop latency", "alarms": 2000.0, "hogs": 6.0, **labels}])
     assert "python -m benchmarks.stop_latency --alarms 2000 --hogs 6" in text
     assert "| supervisor process | 2.0 | 2.0 | 2.0 |" in text
+
+
+def test_kills_faults_and_the_doctor_have_their_sections() -> None:
+    row = {
+        "fault": "camera.off", "branches": 12, "complete": 0, "held": 9, "aborted": 3, "membranes_touched": 0,
+        "false_completes": 0, "latched_after_s": [2.0, 8.4], "safe_after_latch_s": 0.52, "lower_after_latch_um": 1.0,
+        "overrun_um": 2.0, "command_overrun_um": 1.0,
+    }  # fmt: skip
+    kills = {
+        "kills": 60, "standstill_s_worst": 0.115, "lower_um_worst": 59.0, "spindle_off_s_worst": 0.25,
+        "spindle_stands_s_worst": 0.56, "events_lost_most": 1, "resumed": 40, "refused": 20,
+        "complete_and_free_of_resumed": 0.5, "complete_and_free_of_resumed_low": 0.35,
+        "complete_and_free_of_resumed_high": 0.65, "ended_otherwise": ["finish it by hand"], "membranes_touched": 0,
+    }  # fmt: skip
+    victim = {
+        "kills": 20, "standstill_s_worst": 0.08, "lower_mm_worst": 0.0, "lifted_mm_least": 1.5,
+        "spindle_off_s_worst": 0.25, "spindle_stands_s_worst": 0.5,
+    }  # fmt: skip
+    doctor = {"examinations": 40, "false_alarms": 0}
+    text = page(
+        {},
+        [
+            {"command": "fault table", "seeds": [1, 2], "rows": [row]},
+            {"command": "killed runs", "seeds": [1], "asked_kills": 60, **kills},
+            {"command": "killed processes", "kills": 20, "program": victim},
+            {
+                "command": "doctor trials", "seeds": [0, 1], "well": doctor,
+                "faults": {"disk.full": {"examinations": 3, "found": 3}},
+            },
+        ],
+    )  # fmt: skip
+    assert "| camera.off | 12 | 0 | 9 | 3 | 0 | 2.00 to 8.40 | 0.52 | 1 | 1 | 2 |" in text
+    assert "| the tip stands after | 115 ms |" in text
+    assert "| of the resumed: complete with a free flap | 50 % (35-65 %) |" in text
+    assert "finish it by hand." in text
+    assert "| program | 20 | 80 | 0 | 1.50 | 250 | 500 |" in text
+    assert "| disk.full | 3 | 3 |" in text
