@@ -41,6 +41,24 @@ class GrblMotion(Table):
     """What the firmware's version must begin with, such as "1.1h"."""
 
 
+class TinyGMotion(Table):
+    """A g2core board (TinyG's successor), JSON on a serial port."""
+
+    backend: Literal["tinyg"] = "tinyg"
+    port: str
+    baud: int = Field(115200, gt=0)
+    """USB boards take any."""
+    origin_mm: Vector
+    """Where the board's machine coordinates put the origin of {R}."""
+    max_feed_mm_s: Positive = 20.0
+    reply_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
+    """How long a status report is waited for; three missed ones in a row stop the machine."""
+    settings: dict[Annotated[str, Field(pattern=r"^[a-z0-9]{1,5}$")], Finite] = {}
+    """Firmware settings that must read back as given, such as "xtn" = -35."""
+    firmware: str = ""
+    """What the firmware's build must begin with, such as "101."."""
+
+
 class Cia402SpindleTable(Table):
     """A CiA 402 drive on a CAN bus."""
 
@@ -145,7 +163,7 @@ class RigConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     schema_: Literal[1] = Field(alias="schema")
     name: str
-    motion: GrblMotion | OtherBackend
+    motion: GrblMotion | TinyGMotion | OtherBackend
     spindle: Cia402SpindleTable | OtherBackend
     camera: OpenCvCamera | OtherBackend
     tool: ToolTable = ToolTable()
@@ -164,7 +182,7 @@ class RigConfig(BaseModel):
 
 
 BUILT_IN: Mapping[Kind, Mapping[str, type[Table]]] = {
-    "motion": {"grbl": GrblMotion},
+    "motion": {"grbl": GrblMotion, "tinyg": TinyGMotion},
     "spindle": {"cia402": Cia402SpindleTable},
     "camera": {"opencv": OpenCvCamera},
 }

@@ -17,7 +17,7 @@ from drivers.errors import ConfigError
 if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.recorder import Recorder
-    from firmware_sim.bench import Dialect
+    from firmware_sim.bench import Dialect, MotionMake
     from firmware_sim.faults import Fault
     from firmware_sim.serve import BenchService, ServiceStatus
     from milling.eyes import CompletionReader
@@ -34,11 +34,18 @@ if TYPE_CHECKING:
     help="Write the rig file here; without it, it is printed.",
 )
 @click.option(
+    "--motion",
+    type=click.Choice(["grbl", "tinyg"]),
+    default="grbl",
+    show_default=True,
+    help="Make of the motion board.",
+)
+@click.option(
     "--dialect",
     type=click.Choice(["gnea", "grblhal"]),
     default="gnea",
     show_default=True,
-    help="Firmware of the motion board.",
+    help="Firmware of a GRBL board.",
 )
 @click.option(
     "--fps", type=click.FloatRange(1.0, 60.0), default=20.0, show_default=True, help="Pictures per second and eye."
@@ -55,12 +62,13 @@ def emulate(
     seed: int,
     faults: tuple[str, ...],
     rig_out: Path | None,
+    motion: "MotionMake",
     dialect: "Dialect",
     fps: float,
     truth_out: Path | None,
     until_stdin_closes: bool,
 ) -> None:
-    """Serve a virtual bench: a GRBL board and a CAN adapter on serial ports, two cameras over HTTP.
+    """Serve a virtual bench: a motion board and a CAN adapter on serial ports, two cameras over HTTP.
 
     It prints a rig file that points at them; use it from another terminal. Ctrl-C ends it.
     """
@@ -72,13 +80,16 @@ def emulate(
     for path in (rig_out, truth_out):
         if path is not None and not path.parent.is_dir():
             raise ConfigError(f"{path}: no folder {path.parent}; make it, or name another file")
+    if motion != "grbl" and dialect != "gnea":
+        raise ConfigError(f"--dialect {dialect} belongs to --motion grbl; leave it out with --motion {motion}")
     planted = parse_faults(faults)
     if host := [str(fault) for fault in planted if fault.kind.place == "host"]:
         raise ConfigError(f"fault {', '.join(host)}: not of the bench; give it to `mill run --emulate --fault`")
     drawn = specimen_for(seed, specimen)
     if sys.stderr.isatty():
         click.echo("Preparing the bench...", err=True)
-    with _stop_signals() as stopped, BenchService(Bench(drawn, dialect=dialect, faults=planted), fps=fps) as service:
+    bench = Bench(drawn, motion=motion, dialect=dialect, faults=planted)
+    with _stop_signals() as stopped, BenchService(bench, fps=fps) as service:
         name = ", ".join([f"virtual bench, seed {seed}", *([specimen.name] if specimen else []), *map(str, planted)])
         text = rig_text(service, name)
         if rig_out is None:
@@ -126,32 +137,24 @@ def recorded(recorder: "Recorder", faults: "Sequence[Fault]", clock: "Clock") ->
 
 def rig_text(service: "BenchService", name: str) -> str:
     """The rig file of a served bench."""
-    from firmware_sim.bench import (
-        FIRMWARE,
-        MAX_FEED_MM_S,
-        MAX_SPEED_RPM,
-        MECHANICAL_SETTINGS,
-        NODE_ID,
-        ORIGIN_MM,
-        PARK_MM,
-    )
+    from firmware_sim.bench import MAX_FEED_MM_S, MAX_SPEED_RPM, NODE_ID, ORIGIN_MM, PARK_MM
     from firmware_sim.optics import HEIGHT_PX, WIDTH_PX
 
     left, right = service.camera_urls
     tool = service.bench.specimen.tool
-    settings = "\n".join(f'"{key}" = {value:g}' for key, value in MECHANICAL_SETTINGS.items())
+    settings = "\n".join(f'"{key}" = {value:g}' for key, value in service.bench.motion_settings.items())
     return f"""\
 # A virtual bench. It lives as long as its `mill emulate`.
 schema = 1
 name = "{name}"
 
 [motion]
-backend = "grbl"
+backend = "{service.bench.motion}"
 port = "{service.motion_port}"
 baud = 115200
 origin_mm = {_vector(ORIGIN_MM)}      # machine position of the origin of {{R}}
 max_feed_mm_s = {MAX_FEED_MM_S:g}
-firmware = "{FIRMWARE[service.bench.dialect]}"
+firmware = "{service.bench.motion_firmware}"
 
 [motion.settings]                  # must read back like this
 {settings}

@@ -16,7 +16,7 @@ from typing import Any, Protocol, cast
 
 import click
 
-from cli.config import Cia402SpindleTable, GrblMotion, OpenCvCamera, OtherBackend, RigConfig, load_rig
+from cli.config import Cia402SpindleTable, GrblMotion, OpenCvCamera, OtherBackend, RigConfig, TinyGMotion, load_rig
 from cli.emulate import sorted_faults
 from cli.options import BenchChoice
 from drivers.backends import load_backend
@@ -79,6 +79,8 @@ class WiredRig:
         table = self.config.motion
         if isinstance(table, OtherBackend):
             return cast(MotionController, load_backend("motion", table.backend)(_raw(table), self.clock))
+        if isinstance(table, TinyGMotion):
+            return open_tinyg(table, self.clock, self.trace)
         return open_grbl(table, self.clock, self.trace)
 
     def open_spindle(self) -> Spindle:
@@ -135,13 +137,8 @@ def _raw(table: OtherBackend) -> Mapping[str, Any]:
 def open_grbl(table: GrblMotion, clock: Clock, trace: Trace | None = None) -> MotionController:
     """GRBL on its serial port."""
     from drivers.motion.grbl.driver import GrblController
-    from drivers.motion.serial_line import open_serial
 
-    line: SerialLine = open_serial(table.port, table.baud)
-    if trace is not None:
-        from drivers.trace import TracedLine
-
-        line = TracedLine(line, trace, "motion")
+    line = _serial_line(table.port, table.baud, trace)
     try:
         return GrblController(
             line,
@@ -155,6 +152,38 @@ def open_grbl(table: GrblMotion, clock: Clock, trace: Trace | None = None) -> Mo
     except BaseException:
         line.close()
         raise
+
+
+def open_tinyg(table: TinyGMotion, clock: Clock, trace: Trace | None = None) -> MotionController:
+    """A g2core board on its serial port."""
+    from drivers.motion.tinyg.driver import TinyGController
+
+    line = _serial_line(table.port, table.baud, trace)
+    try:
+        return TinyGController(
+            line,
+            clock,
+            origin_mm=table.origin_mm,
+            max_feed_mm_per_s=table.max_feed_mm_s,
+            expected_settings=table.settings,
+            expected_firmware=table.firmware,
+            reply_s=table.reply_s,
+        )
+    except BaseException:
+        line.close()
+        raise
+
+
+def _serial_line(port: str, baud: int, trace: Trace | None) -> SerialLine:
+    """A motion controller's port, with a trace of what passes if one is asked for."""
+    from drivers.motion.serial_line import open_serial
+
+    line = open_serial(port, baud)
+    if trace is None:
+        return line
+    from drivers.trace import TracedLine
+
+    return TracedLine(line, trace, "motion")
 
 
 def open_cia402(table: Cia402SpindleTable, clock: Clock, trace: Trace | None = None) -> Spindle:

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any, Final, Literal
 
 from drivers.errors import ConnectionLostError
+from firmware_sim import tinyg_bench
 from firmware_sim.can_wire import CanWire
 from firmware_sim.cia402_drive import Cia402Drive
 from firmware_sim.clock import TICK_S, SimClock
@@ -17,8 +18,10 @@ from firmware_sim.microscope import EachEye, Image, Microscope, Shot
 from firmware_sim.sabotage import Sabotage
 from firmware_sim.slcan_adapter import SlcanAdapter
 from firmware_sim.specimen import Specimen, draw_specimen
+from firmware_sim.tinyg_board import TinyGBoard
 
 Dialect = Literal["gnea", "grblhal"]
+MotionMake = Literal["grbl", "tinyg"]
 
 ORIGIN_MM: Final = (-25.0, -10.0, -20.0)
 """Where the board's machine coordinates put the origin of {R}: machine zero is at the home switches."""
@@ -52,16 +55,20 @@ class Bench:
         self,
         specimen: Specimen | None = None,
         *,
+        motion: MotionMake = "grbl",
         dialect: Dialect = "gnea",
         seed: int = 0,
         faults: Sequence[Fault] = (),
     ) -> None:
-        """A bench that was just switched on; without a specimen, one is drawn from ``seed``."""
+        """A bench that was just switched on; without a specimen, one is drawn from ``seed``.
+
+        ``dialect`` is the firmware of a GRBL board, and of no other.
+        """
         self.specimen = draw_specimen(seed) if specimen is None else specimen
         self.dialect: Dialect = dialect
         self.machine = Machine(self.specimen)
-        settings = {**MECHANICAL_SETTINGS, **_COMMISSIONING, **_DIALECT_SETTINGS[dialect]}
-        self.board = GrblBoard(self.machine, dialect=dialect, settings=settings)
+        self.motion: MotionMake = motion
+        self.board = self._motion_board()
         self.board.commission(f"mill-bench-{self.serial_number}")
         self.drive = Cia402Drive(
             self.machine, node_id=NODE_ID, max_speed_rpm=MAX_SPEED_RPM, serial_number=self.serial_number
@@ -73,13 +80,35 @@ class Bench:
         if faults:
             self.plant(faults)
 
+    def _motion_board(self) -> GrblBoard | TinyGBoard:
+        if self.motion == "tinyg":
+            return tinyg_bench.new_board(self.machine)
+        settings = {**MECHANICAL_SETTINGS, **_COMMISSIONING, **_DIALECT_SETTINGS[self.dialect]}
+        return GrblBoard(self.machine, dialect=self.dialect, settings=settings)
+
+    @property
+    def motion_settings(self) -> Mapping[str, float]:
+        """What a host may expect to read back from the motion board."""
+        return tinyg_bench.MECHANICAL_SETTINGS if self.motion == "tinyg" else MECHANICAL_SETTINGS
+
+    @property
+    def motion_firmware(self) -> str:
+        """What the version of the motion board begins with."""
+        return tinyg_bench.FIRMWARE if self.motion == "tinyg" else FIRMWARE[self.dialect]
+
     @property
     def serial_number(self) -> int:
         """Of every device of this rig; another rig has others, and a calibration holds for one rig only."""
         return zlib.crc32(self.specimen.rig.model_dump_json().encode()) % 1_000_000
 
     def plant(self, faults: Sequence[Fault]) -> None:
-        """Break it, once; what has no time of its own is broken from now on."""
+        """Break it, once; what has no time of its own is broken from now on.
+
+        Raises:
+            ConfigError: its motion board cannot have this fault.
+        """
+        if self.motion == "tinyg":
+            tinyg_bench.check_faults(faults)
         self._sabotage = Sabotage(self, tuple(faults), seed=self.specimen.seed)
         self.can.carries = self._sabotage.carries
 

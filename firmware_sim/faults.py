@@ -60,7 +60,7 @@ CATALOGUE: Final[dict[str, Kind]] = {
     "motion.scale_x": Kind("X moves farther than told", default=1.01, unit="x", low=0.9, high=1.1),
     "motion.lost_steps": Kind("steps are lost on Z: the tip is lower than told", default=20, unit="", low=1, high=500),
     "motion.no_soft_limits": Kind("the board's soft limits are off"),
-    "motion.firmware": Kind("the board has another firmware version", word="1.1f", pattern=r"1\.1[a-z]"),
+    "motion.firmware": Kind("the board has another firmware version", word="1.1f", pattern=r"1\.1[a-z]|\d{2,3}\.\d{2}"),
     "motion.settings_changed": Kind("a setting of the board differs from the rig file"),
     "can.drop": Kind("frames of the CAN bus are lost", default=0.02, unit="", low=1e-6, high=1.0),
     "can.bus_off": Kind("no frame passes any more"),

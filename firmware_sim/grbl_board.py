@@ -105,6 +105,14 @@ class GrblBoard:
         """Somebody else's hand on the board's memory."""
         self._program.settings.store(number, value)
 
+    def turn_soft_limits_off(self) -> None:
+        """By that hand."""
+        self.change_setting(20, 0.0)
+
+    def slow_x_down(self) -> None:
+        """By that hand: half as fast as on the bench."""
+        self.change_setting(110, 600.0)
+
     def receive(self, data: bytes) -> None:
         """The host writes ``data``, now."""
         self._uart.send_to_board(data, self._now_s)

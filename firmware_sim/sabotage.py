@@ -15,6 +15,7 @@ from firmware_sim.faults import Fault
 from firmware_sim.grbl_board import GrblBoard
 from firmware_sim.machine import Machine
 from firmware_sim.microscope import Image, Shot
+from firmware_sim.tinyg_board import TinyGBoard
 
 if TYPE_CHECKING:
     from firmware_sim.can_wire import Frame
@@ -31,7 +32,7 @@ class Parts(Protocol):
     """What of a bench can be broken."""
 
     machine: Machine
-    board: GrblBoard
+    board: GrblBoard | TinyGBoard
     drive: Cia402Drive
 
 
@@ -201,8 +202,8 @@ _AT_ONCE: Final[dict[str, Callable[[Parts, float], None]]] = {
     "motion.backlash": _play,
     "motion.scale_x": _stretch_x,
     "motion.lost_steps": _lose_steps,
-    "motion.no_soft_limits": lambda parts, _: parts.board.change_setting(20, 0.0),
-    "motion.settings_changed": lambda parts, _: parts.board.change_setting(110, 600.0),
+    "motion.no_soft_limits": lambda parts, _: parts.board.turn_soft_limits_off(),
+    "motion.settings_changed": lambda parts, _: parts.board.slow_x_down(),
     "spindle.stall": _block,
     "spindle.slow": _slow,
     "spindle.overspeed": _overspeed,

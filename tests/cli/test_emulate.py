@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 from served_bench import MILL, ServedBench, served_bench
 
-from cli.config import GrblMotion, OpenCvCamera, load_rig
+from cli.config import GrblMotion, OpenCvCamera, TinyGMotion, load_rig
+from cli.rig import WiredRig
+from drivers.clock import SystemClock
 
 
 @pytest.fixture
@@ -34,6 +36,16 @@ def test_the_rig_file_loads_and_the_bench_ends_with_its_parent(started: ServedBe
     assert json.loads(started.truth_file.read_text())["membrane_touched"] is False
 
 
+def test_a_g2core_board_is_opened_by_its_rig_file(tmp_path: Path) -> None:
+    with served_bench(tmp_path, ["--seed", "4", "--motion", "tinyg"]) as bench:
+        rig = load_rig(bench.rig_file)
+        assert isinstance(rig.motion, TinyGMotion)
+        assert rig.motion.settings["ztn"] == -28
+        with WiredRig(rig, SystemClock()).open_motion() as motion:
+            assert motion.identity.startswith("g2core 101.03")
+            assert motion.travel.low_mm == (-10.0, -30.0, -8.0)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_the_bench_in_order(started: ServedBench, number: signal.Signals) -> None:
     started.process.send_signal(number)
@@ -46,6 +58,8 @@ def test_signals_end_the_bench_in_order(started: ServedBench, number: signal.Sig
     [
         (["--specimen", "nowhere.toml"], ["nowhere.toml"]),
         (["--specimen", "bad.toml"], ["bad.toml", "thicknes_mm"]),
+        (["--motion", "tinyg", "--dialect", "grblhal"], ["--dialect grblhal", "--motion grbl"]),
+        (["--motion", "tinyg", "--fault", "motion.alarm=5"], ["motion.alarm=5", "limit switch"]),
         (["--rig-out", "no/such/folder/rig.toml"], ["no/such/folder"]),
     ],
 )

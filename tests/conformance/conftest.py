@@ -19,8 +19,10 @@ Implementation = Callable[[], AbstractContextManager[Any]]
 EMULATED_MOTION: dict[str, Implementation] = {
     "in-process-gnea": partial(in_process_bench, "gnea"),
     "in-process-grblhal": partial(in_process_bench, "grblhal"),
+    "in-process-tinyg": partial(in_process_bench, "tinyg"),
     "pty-gnea": partial(pty_bench, "gnea"),
     "pty-grblhal": partial(pty_bench, "grblhal"),
+    "pty-tinyg": partial(pty_bench, "tinyg"),
 }
 
 IMPLEMENTATIONS: dict[str, dict[str, Implementation]] = {

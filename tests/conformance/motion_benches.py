@@ -13,12 +13,15 @@ from drivers.clock import Clock, SystemClock
 from drivers.motion.grbl.driver import GrblController
 from drivers.motion.interface import MotionController, Vector
 from drivers.motion.serial_line import open_serial
+from drivers.motion.tinyg.driver import TinyGController
 from drivers.motion.transport import SerialLine
 from firmware_sim.clock import SimClock
 from firmware_sim.grbl_board import GrblBoard
 from firmware_sim.lines import InProcessLine
+from firmware_sim.tinyg_board import TinyGBoard
 
-Dialect = Literal["gnea", "grblhal"]
+Dialect = Literal["gnea", "grblhal", "tinyg"]
+"""TinyG is another make, and not a dialect of GRBL's."""
 
 ORIGIN_MM: Vector = (-25.0, -10.0, -20.0)
 MAX_FEED_MM_PER_S = 40.0
@@ -36,6 +39,12 @@ SETTINGS = {
     "$131": 40,
     "$132": 28,
 } | {f"${first + axis}": value for first, value in ((100, 1000), (110, 2400), (120, 2000)) for axis in range(3)}
+
+TINYG_SETTINGS = {"sl": 1.0, "lim": 1.0, "xtn": -35, "xtm": -0.5, "ytn": -40, "ytm": -0.5, "ztn": -28, "ztm": -0.5} | {
+    f"{axis}{name}": value
+    for name, value in {"vm": 2400, "fr": 2400, "jm": 86_400, "sv": 2400, "lv": 600, "lb": 1, "zb": 0.5}.items()
+    for axis in "xyz"
+}
 
 
 def settings_for(dialect: Dialect) -> dict[str, float]:
@@ -73,7 +82,7 @@ class Wire:
     @property
     def lines(self) -> bytes:
         """Everything but status queries."""
-        return b"".join(data for _, data in self.heard).replace(b"?", b"")
+        return b"".join(data for _, data in self.heard).replace(b"?", b"").replace(b'{"sr":null}\n', b"")
 
 
 @dataclass
@@ -133,19 +142,39 @@ def grbl(line: SerialLine, clock: Clock) -> GrblController:
     )
 
 
+def tinyg(line: SerialLine, clock: Clock) -> TinyGController:
+    return TinyGController(
+        line,
+        clock,
+        origin_mm=ORIGIN_MM,
+        max_feed_mm_per_s=MAX_FEED_MM_PER_S,
+        expected_settings={"xtn": -35, "ytn": -40, "ztn": -28},
+    )
+
+
+def open_controller(dialect: Dialect, line: SerialLine, clock: Clock) -> MotionController:
+    return tinyg(line, clock) if dialect == "tinyg" else grbl(line, clock)
+
+
+def new_board(dialect: Dialect, axes: Axes) -> GrblBoard | TinyGBoard:
+    if dialect == "tinyg":
+        return TinyGBoard(axes, settings=TINYG_SETTINGS)
+    return GrblBoard(axes, dialect=dialect, settings=settings_for(dialect))
+
+
 @contextlib.contextmanager
 def in_process_bench(dialect: Dialect) -> Iterator[MotionBench]:
     """The board on a virtual clock."""
     clock = SimClock()
     axes = Axes()
-    board = GrblBoard(axes, dialect=dialect, settings=settings_for(dialect))
+    board = new_board(dialect, axes)
     clock.attach(board.advance_to)
     wire = Wire(clock.now_s)
     lines: list[TappedLine] = []
 
     def reopen() -> MotionController:
         lines.append(TappedLine(InProcessLine(board, clock), wire))
-        return grbl(lines[-1], clock)
+        return open_controller(dialect, lines[-1], clock)
 
     def during_wait(action: Callable[[], None]) -> None:
         lines[-1].on_read = partial(in_second_thread, action)
@@ -162,11 +191,11 @@ def pty_bench(dialect: Dialect) -> Iterator[MotionBench]:
     axes = Axes()
     clock = SystemClock()
     wire = Wire(clock.now_s)
-    board = PtyDevice(GrblBoard(axes, dialect=dialect, settings=settings_for(dialect)), wire.hear)
+    board = PtyDevice(new_board(dialect, axes), wire.hear)
     with contextlib.closing(board), soon(0.1) as during_wait:
 
         def reopen() -> MotionController:
-            return grbl(open_serial(board.path, 115_200), clock)
+            return open_controller(dialect, open_serial(board.path, 115_200), clock)
 
         controller = reopen()
         with contextlib.closing(controller):

@@ -21,14 +21,14 @@ def test_every_built_in_backend_can_be_loaded(key: str) -> None:
 
 
 def test_an_unknown_backend_lists_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match=r"\[motion\] backend = 'tinyg' is unknown; known are 'grbl'"):
-        load_backend("motion", "tinyg")
+    with pytest.raises(ConfigError, match=r"\[motion\] backend = 'marlin' is unknown; known are 'grbl', 'tinyg'"):
+        load_backend("motion", "marlin")
 
 
 def test_a_third_party_adds_one_by_an_entry_point(mocker: MockerFixture) -> None:
-    add_entry_point(mocker, "motion.tinyg", "fractions:Fraction")
-    assert backend_names("motion") == ["grbl", "tinyg"]
-    assert load_backend("motion", "tinyg")(1, 2) == 0.5
+    add_entry_point(mocker, "motion.marlin", "fractions:Fraction")
+    assert backend_names("motion") == ["grbl", "marlin", "tinyg"]
+    assert load_backend("motion", "marlin")(1, 2) == 0.5
 
 
 def test_an_entry_point_that_leads_nowhere_is_named(mocker: MockerFixture) -> None:

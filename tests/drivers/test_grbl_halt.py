@@ -105,7 +105,7 @@ def in_another_thread(action: Call) -> None:
 
 def before_lines(call: Call, act: Callable[[Place], bool]) -> None:
     """Make the call, and act before each line of the driver that it reaches, the first time, until told enough."""
-    room, seen = str(Path(driver.__file__).parent), set[Place]()
+    room, seen = str(Path(driver.__file__).parents[1]), set[Place]()
 
     def trace(frame: FrameType, event: str, _: Any) -> Any:
         place = (frame.f_code.co_qualname, frame.f_lineno)

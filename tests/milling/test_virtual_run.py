@@ -205,6 +205,18 @@ def test_published_policies_run(policy: str, bench: VirtualRig, tmp_path: Path) 
     assert bench.bench.machine.spindle_rpm == 0.0
 
 
+@pytest.mark.long
+def test_another_make_of_motion_board_mills_the_same_window(tmp_path: Path) -> None:
+    rig = virtual_rig(make="tinyg")
+    result = rig.run(tmp_path / "run", JOB)
+    rig.close()
+    truth = rig.bench.machine.truth()
+    assert result.outcome == "complete", result.reason
+    assert truth.flap_free
+    assert not truth.membrane_touched
+    assert rig.bench.machine.spindle_rpm == 0.0
+
+
 def test_a_calibration_of_something_else_moves_no_drill_near_bone(bench: VirtualRig, tmp_path: Path) -> None:
     find_tip = bench.finders.find_tip
 

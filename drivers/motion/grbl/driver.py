@@ -21,9 +21,9 @@ from drivers.errors import (
 )
 from drivers.motion.grbl import machine, protocol
 from drivers.motion.grbl.limits import SoftLimits
-from drivers.motion.grbl.queue import BlockQueue
 from drivers.motion.grbl.session import REPLY_S, GrblSession
 from drivers.motion.interface import MotionController, MotionState, MotionStatus, StopPath, Travel, Vector
+from drivers.motion.queue import BlockQueue
 from drivers.motion.transport import SerialLine
 
 MAX_BLOCKS = 14
@@ -159,7 +159,8 @@ class GrblController(MotionController):
         self._wait_for_room()
         machine_mm = self._limits.machine_mm(target_mm)
         self._session.command(protocol.move_line(machine_mm, feed_mm_per_s * 60.0))
-        self._queue.add(self._last_report().machine_mm, machine_mm, feed_mm_per_s, self._limits.settings)
+        rates_mm_per_s = machine.rates_mm_per_s(self._limits.settings)
+        self._queue.add(self._last_report().machine_mm, machine_mm, feed_mm_per_s, rates_mm_per_s)
 
     def status(self) -> MotionStatus:
         """A fresh report; with a fault latched the last that the controller gave, as 1.1h falls silent in an alarm."""
@@ -180,7 +181,8 @@ class GrblController(MotionController):
             status = self.status()
             self._session.check()
             if status.state is MotionState.IDLE:
-                if self._queue.ends_at(self._last_report().machine_mm, self._limits.settings):
+                end_mm = self._queue.last_target_mm
+                if end_mm is None or machine.stand_at(self._last_report().machine_mm, end_mm, self._limits.settings):
                     return status
                 # A broken line may have moved the axes, or a broken report lie; but a report does not lie twice.
                 strays += 1

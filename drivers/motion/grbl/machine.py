@@ -174,15 +174,12 @@ def stand_at(position_mm: Vector, target_mm: Vector, settings: Settings) -> bool
     )
 
 
-def reachable_mm_per_s(delta_mm: Vector, feed_mm_per_s: float, settings: Settings) -> float:
-    """The feed, or what the axes' own maximum rates leave of it along ``delta_mm``."""
-    length_mm = math.hypot(*delta_mm)
-    rates = (
-        settings[MAX_RATE + axis] / 60.0 * length_mm / abs(delta) for axis, delta in enumerate(delta_mm) if delta != 0
-    )
-    return min(feed_mm_per_s, *rates) if length_mm > 0 else feed_mm_per_s
-
-
 def shown(point_mm: Vector) -> str:
     """A point as messages show it."""
     return "(" + ", ".join(f"{value:.4g}" for value in point_mm) + ")"
+
+
+def rates_mm_per_s(settings: Settings) -> Vector:
+    """The greatest rates of the axes."""
+    x, y, z = (settings[MAX_RATE + axis] / 60.0 for axis in range(3))
+    return (x, y, z)

@@ -1,19 +1,16 @@
 """The conversation with one GRBL controller: lines and their acknowledgements, reports, resets, and what latches.
 
-There is no thread. Whoever calls pumps the wire, and everything that is counted or latched is its own. Another thread
-may call ``urgent()`` and ``halt()`` at the same time: they write at once, and all that ``halt()`` leaves behind is two
-marks, one before its bytes and one behind them (docs/decisions/0004). One line at a time waits for its
-acknowledgement, so that a refusal belongs to the call that caused it and the receive buffer cannot overflow; status
-queries are not lines and take no room there.
+One line at a time waits for its acknowledgement, so that a refusal belongs to the call that caused it and the receive
+buffer cannot overflow; status queries are not lines and take no room there.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 from drivers.clock import Clock
-from drivers.errors import ConnectionLostError, DeviceFaultError, DeviceTimeoutError, ProtocolError
+from drivers.errors import DeviceFaultError, DeviceTimeoutError, ProtocolError
 from drivers.motion.grbl import protocol
 from drivers.motion.grbl.codes import alarm_meaning, alarm_words, error_words
+from drivers.motion.latch import LatchingLine
 from drivers.motion.transport import SerialLine
 
 REPLY_S = 0.1
@@ -26,27 +23,14 @@ QUIET_S = 0.05
 """Silence after which a controller that was reset has said what it had to say."""
 BANNER_S = 2.5
 """A reset in motion takes 1.1h half a second, an Arduino that DTR resets two seconds."""
-_PUMP_S = 0.05
 
 
-@dataclass(frozen=True)
-class Fault:
-    """What latched."""
-
-    words: str
-    position_lost: bool
-
-
-_HALTED = Fault("halted by halt()", position_lost=False)
-
-
-class GrblSession:
+class GrblSession(LatchingLine):
     """Speaks to one controller over one line."""
 
     def __init__(self, line: SerialLine, clock: Clock, *, reply_s: float = REPLY_S) -> None:
         """Wait ``reply_s`` for each report."""
-        self._line = line
-        self._clock = clock
+        super().__init__(line, clock, stop=protocol.HOLD + protocol.RESET)
         self._reply_s = reply_s
         self._parser = protocol.Parser()
         self._unacknowledged: list[str] = []
@@ -58,12 +42,6 @@ class GrblSession:
         self._strikes = 0
         self._reports = 0
         self._unreadable_reports = 0
-        self._lost: str | None = None
-        self._latched: Fault | None = None
-        # Appending is atomic and counting up is not, and two threads may halt at once.
-        self._halts_begun: list[None] = []
-        self._halts_done: list[None] = []
-        self._halts_released = 0
         self.on_report: Callable[[protocol.Report], None] = lambda _report: None
         self.upset: str | None = None
         """The queue is not what the host thinks it is. Dropping the queue, or homing, releases it."""
@@ -73,92 +51,9 @@ class GrblSession:
         self.report_time_s = 0.0
 
     @property
-    def name(self) -> str:
-        """The line's name, for messages."""
-        return self._line.name
-
-    @property
-    def descriptor(self) -> int | None:
-        """The line's open file, if another process may be handed one."""
-        return self._line.descriptor
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether the wire is known to be gone."""
-        return self._lost is not None
-
-    @property
     def has_unacknowledged(self) -> bool:
         """Whether a line was sent that the controller has neither taken nor refused."""
         return bool(self._unacknowledged)
-
-    @property
-    def fault(self) -> Fault | None:
-        """Latched: the controller stopped, or was stopped. Homing releases it."""
-        return self._latched or (_HALTED if self._is_halted else None)
-
-    @property
-    def halts(self) -> int:
-        """How many halts are over. Who releases asks first thing, so that none that comes later is forgotten."""
-        return len(self._halts_done)
-
-    def urgent(self, data: bytes) -> None:
-        """Put real-time bytes on the wire now. From any thread."""
-        self._line.write(data)
-
-    def halt(self) -> None:
-        """Feed hold and reset in one write, and latch. From any thread.
-
-        What happens to the position the controller says by itself: it raises ALARM:3 when it was moving.
-        """
-        # Before the bytes, so that no line is written behind them unseen.
-        self._halts_begun.append(None)
-        try:
-            self._line.write(protocol.HOLD + protocol.RESET)
-        finally:
-            # A release that comes between the two releases nothing: the bytes may still reach the wire behind it.
-            self._halts_done.append(None)
-
-    def latch(self, words: str, *, position_lost: bool) -> None:
-        """Latch a fault; the first one stays, but a position that is lost later is lost."""
-        first = self.fault or Fault(words, position_lost)
-        self._latched = replace(first, position_lost=first.position_lost or position_lost)
-
-    def check(self) -> None:
-        """Raise what has latched.
-
-        Raises:
-            ConnectionLostError: the wire is gone.
-            DeviceFaultError: a fault is latched.
-        """
-        if self._lost is not None:
-            raise ConnectionLostError(self._lost)
-        if self.fault is not None:
-            kept = "lost" if self.fault.position_lost else "kept"
-            raise DeviceFaultError(f"{self.name}: {self.fault.words}; position {kept}; home() releases the latch")
-
-    def pump(self, timeout_s: float) -> None:
-        """Take in what has arrived, waiting up to ``timeout_s`` for the first byte."""
-        if self._lost is not None:
-            raise ConnectionLostError(self._lost)
-        try:
-            data = self._line.read(timeout_s)
-        except ConnectionLostError as error:
-            self._lost = str(error)
-            self.latch("connection lost", position_lost=True)
-            raise
-        for message in self._parser.feed(data):
-            self._take(message)
-
-    def pump_until(self, done: Callable[[], bool], timeout_s: float) -> bool:
-        """Pump until ``done()`` or the time is over; whether it was done. What arrived in time always counts."""
-        deadline_s = self._clock.now_s() + timeout_s
-        while not done():
-            remaining_s = deadline_s - self._clock.now_s()
-            self.pump(min(_PUMP_S, max(0.0, remaining_s)))
-            if remaining_s <= 0:
-                return done()
-        return True
 
     def command(self, text: str, timeout_s: float = 1.0) -> list[protocol.Message]:
         """Send one line and wait for its ``ok``; what the controller said meanwhile.
@@ -253,18 +148,8 @@ class GrblSession:
             DeviceFaultError: there was one more, from another thread.
         """
         self.reset()
-        self._latched = None
-        self._halts_released = halts
+        self._release(halts)
         self.check()
-
-    def close(self) -> None:
-        """Give the line back."""
-        self._lost = self._lost or f"{self.name}: the controller was closed; open it again"
-        self._line.close()
-
-    @property
-    def _is_halted(self) -> bool:
-        return len(self._halts_begun) > self._halts_released
 
     @property
     def _is_resetting(self) -> bool:
@@ -297,6 +182,10 @@ class GrblSession:
             f"{self.name}: no reply to {MISSED_REPLIES} status queries, {MISSED_REPLIES * self._reply_s:g} s in all; "
             "stop the machine by its power switch if it moves, then look at the cable and the controller"
         )
+
+    def _receive(self, data: bytes) -> None:
+        for message in self._parser.feed(data):
+            self._take(message)
 
     def _take(self, message: protocol.Message) -> None:
         self._heard += 1

@@ -1,11 +1,13 @@
-"""What the controller has planned and not yet executed, as far as the host can know from its own lines and ``Bf``."""
+"""What a controller has planned and not yet executed, as far as the host can know from its own lines and reports."""
 
 import math
 from collections import deque
 from dataclasses import dataclass
 
-from drivers.motion.grbl.machine import RESOLUTION_MM, Settings, reachable_mm_per_s, stand_at
 from drivers.motion.interface import Vector
+
+SHORTEST_MM = 0.0005
+"""Half of what three decimals keep: the firmware plans no block for less."""
 
 
 @dataclass(frozen=True)
@@ -25,18 +27,25 @@ class BlockQueue:
     def __len__(self) -> int:
         return len(self._blocks)
 
-    def ends_at(self, position_mm: Vector, settings: Settings) -> bool:
-        """Whether axes at ``position_mm`` stand where the last move ends; True where the queue was dropped."""
-        return self._last is None or stand_at(position_mm, self._last.target_mm, settings)
+    @property
+    def last_target_mm(self) -> Vector | None:
+        """Where the last move ends; None where there was none, or the queue was dropped."""
+        return self._last.target_mm if self._last else None
 
-    def add(self, position_mm: Vector, target_mm: Vector, feed_mm_per_s: float, settings: Settings) -> None:
-        """An acknowledged move; it starts where the one before ends, or at ``position_mm`` if there is none."""
+    def add(self, position_mm: Vector, target_mm: Vector, feed_mm_per_s: float, rates_mm_per_s: Vector) -> None:
+        """An acknowledged move; it starts where the one before ends, or at ``position_mm`` if there is none.
+
+        ``rates_mm_per_s`` are the greatest rates of the axes.
+        """
         start_mm = self._last.target_mm if self._last else position_mm
         x, y, z = (to - at for to, at in zip(target_mm, start_mm, strict=True))
         length_mm = math.hypot(x, y, z)
-        if length_mm < RESOLUTION_MM / 2:
-            return  # The firmware plans no block for it.
-        speed_mm_per_s = reachable_mm_per_s((x, y, z), feed_mm_per_s, settings)
+        if length_mm < SHORTEST_MM:
+            return
+        speed_mm_per_s = min(
+            feed_mm_per_s,
+            *(rate * length_mm / abs(by) for rate, by in zip(rates_mm_per_s, (x, y, z), strict=True) if by != 0),
+        )
         self._last = _Block(target_mm, speed_mm_per_s, length_mm / speed_mm_per_s)
         self._blocks.append(self._last)
 
