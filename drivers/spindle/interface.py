@@ -71,3 +71,11 @@ class Spindle(Device):
             DeviceTimeoutError: not at speed in time.
             DeviceFaultError: the drive reports a fault.
         """
+
+    @abstractmethod
+    def reset_fault(self) -> None:
+        """Acknowledge a fault; the drill stays off until ``start()``. An operator's act.
+
+        Raises:
+            DeviceFaultError: the cause is still there.
+        """
