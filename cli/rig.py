@@ -11,11 +11,20 @@ import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import click
 
-from cli.config import Cia402SpindleTable, GrblMotion, OpenCvCamera, OtherBackend, RigConfig, load_rig
+from cli.config import (
+    Cia402SpindleTable,
+    GrblMotion,
+    GrblSpindleTable,
+    ModbusSpindleTable,
+    OpenCvCamera,
+    OtherBackend,
+    RigConfig,
+    load_rig,
+)
 from cli.emulate import sorted_faults
 from cli.options import BenchChoice
 from drivers.backends import load_backend
@@ -24,6 +33,9 @@ from drivers.clock import Clock, SystemClock
 from drivers.errors import ConfigError, ConnectionLostError, DeviceTimeoutError
 from drivers.motion.interface import MotionController
 from drivers.spindle.interface import Spindle
+
+if TYPE_CHECKING:
+    from drivers.motion.grbl.driver import GrblController
 
 EMULATOR_START_S = 120.0
 """The first start of a virtual bench compiles its renderer."""
@@ -59,20 +71,57 @@ class WiredRig:
     config: RigConfig
     clock: Clock
     truth_file: Path | None = None
+    _drills_own: "GrblController | None" = None
+    """A controller that was opened for its drill alone; it is closed with the drill unless its motion is opened too."""
+    _controller: "GrblController | None" = None
+    """The controller that is open, if a drill may hang on it."""
 
     def open_motion(self) -> MotionController:
-        """Open the motion controller of the rig file."""
+        """Open the motion controller of the rig file; the one that was opened for its drill, where there is one."""
+        if self._drills_own is not None:
+            controller, self._drills_own = self._drills_own, None
+            return controller
         table = self.config.motion
         if isinstance(table, OtherBackend):
             return cast(MotionController, load_backend("motion", table.backend)(_raw(table), self.clock))
-        return open_grbl(table, self.clock)
+        self._controller = open_grbl(table, self.clock)
+        return self._controller
 
     def open_spindle(self) -> Spindle:
         """Open the spindle of the rig file."""
         table = self.config.spindle
         if isinstance(table, OtherBackend):
             return cast(Spindle, load_backend("spindle", table.backend)(_raw(table), self.clock))
+        if isinstance(table, GrblSpindleTable):
+            return self._open_on_controller(table)
+        if isinstance(table, ModbusSpindleTable):
+            return open_modbus(table, self.clock)
         return open_cia402(table, self.clock)
+
+    def _open_on_controller(self, table: GrblSpindleTable) -> Spindle:
+        from drivers.spindle.grbl import GrblSpindle
+
+        if self._controller is None or self._controller.session.is_lost:
+            self.open_motion()
+            self._drills_own = self._controller
+        controller = self._controller
+        assert controller is not None
+        try:
+            return GrblSpindle(
+                controller,
+                self.clock,
+                max_speed_rpm=table.max_speed_rpm,
+                run_up_s=table.run_up_s,
+                on_close=self._close_drills_own,
+            )
+        except BaseException:
+            self._close_drills_own()
+            raise
+
+    def _close_drills_own(self) -> None:
+        if self._drills_own is not None:
+            controller, self._drills_own = self._drills_own, None
+            controller.close()
 
     def open_camera(self) -> StereoCamera:
         """Open the stereo camera of the rig file."""
@@ -107,7 +156,7 @@ def _raw(table: OtherBackend) -> Mapping[str, Any]:
     return table.model_dump(exclude={"backend"})
 
 
-def open_grbl(table: GrblMotion, clock: Clock) -> MotionController:
+def open_grbl(table: GrblMotion, clock: Clock) -> "GrblController":
     """GRBL on its serial port."""
     from drivers.motion.grbl.driver import GrblController
     from drivers.motion.serial_line import open_serial
@@ -141,6 +190,24 @@ def open_cia402(table: Cia402SpindleTable, clock: Clock) -> Spindle:
     except BaseException:
         bus.shutdown()
         raise
+
+
+def open_modbus(table: ModbusSpindleTable, clock: Clock) -> Spindle:
+    """A Delta VFD on its serial line."""
+    from drivers.motion.serial_line import open_serial
+    from drivers.spindle.modbus import ModbusSpindle
+
+    return ModbusSpindle(
+        open_serial(table.port, table.baud, framing=table.framing),
+        clock,
+        station=table.station,
+        baud=table.baud,
+        max_speed_rpm=table.max_speed_rpm,
+        rated_current_a=table.rated_current_a,
+        poles=table.poles,
+        frequency_unit_hz=10.0**-table.frequency_decimals,
+        heartbeat_s=table.heartbeat_s,
+    )
 
 
 def open_opencv(table: OpenCvCamera, clock: Clock) -> StereoCamera:

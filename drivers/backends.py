@@ -18,6 +18,8 @@ ENTRY_POINT_GROUP = "mill.drivers"
 BUILT_IN: dict[str, str] = {
     "motion.grbl": "drivers.motion.grbl.driver:GrblController",
     "spindle.cia402": "drivers.spindle.cia402:Cia402Spindle",
+    "spindle.grbl": "drivers.spindle.grbl:GrblSpindle",
+    "spindle.modbus": "drivers.spindle.modbus:ModbusSpindle",
     "camera.opencv": "drivers.camera.stereo:StereoPair",
 }
 

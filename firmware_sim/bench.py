@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Final, Literal
 
-from drivers.errors import ConnectionLostError
+from drivers.errors import ConfigError, ConnectionLostError
 from firmware_sim.can_wire import CanWire
 from firmware_sim.cia402_drive import Cia402Drive
 from firmware_sim.clock import TICK_S, SimClock
@@ -14,11 +14,14 @@ from firmware_sim.grbl_board import GrblBoard
 from firmware_sim.lines import InProcessBus, InProcessLine, InProcessSource, in_process_sources
 from firmware_sim.machine import Machine
 from firmware_sim.microscope import EachEye, Image, Microscope, Shot
+from firmware_sim.modbus_drive import ModbusDrive
 from firmware_sim.sabotage import Sabotage
 from firmware_sim.slcan_adapter import SlcanAdapter
 from firmware_sim.specimen import Specimen, draw_specimen
+from firmware_sim.spindle_motor import SpindleMotor
 
 Dialect = Literal["gnea", "grblhal"]
+SpindleMake = Literal["cia402", "modbus", "grbl"]
 
 ORIGIN_MM: Final = (-25.0, -10.0, -20.0)
 """Where the board's machine coordinates put the origin of {R}: machine zero is at the home switches."""
@@ -53,14 +56,18 @@ class Bench:
         specimen: Specimen | None = None,
         *,
         dialect: Dialect = "gnea",
+        spindle: SpindleMake = "cia402",
         seed: int = 0,
         faults: Sequence[Fault] = (),
     ) -> None:
         """A bench that was just switched on; without a specimen, one is drawn from ``seed``."""
         self.specimen = draw_specimen(seed) if specimen is None else specimen
         self.dialect: Dialect = dialect
+        self.spindle: SpindleMake = spindle
         self.machine = Machine(self.specimen)
         settings = {**MECHANICAL_SETTINGS, **_COMMISSIONING, **_DIALECT_SETTINGS[dialect]}
+        if spindle == "grbl":
+            settings |= {"$30": MAX_SPEED_RPM, "$31": 0, "$32": 0}
         self.board = GrblBoard(self.machine, dialect=dialect, settings=settings)
         self.board.commission(f"mill-bench-{self.serial_number}")
         self.drive = Cia402Drive(
@@ -68,6 +75,9 @@ class Bench:
         )
         self.can = CanWire([self.drive])
         self.adapter = SlcanAdapter(self.can)
+        self.inverter = ModbusDrive(self.machine)
+        self.motor = SpindleMotor(self.machine)
+        """Only the drive that ``spindle`` names is switched on."""
         self.now_s = 0.0
         self._sabotage: Sabotage | None = None
         if faults:
@@ -78,8 +88,31 @@ class Bench:
         """Of every device of this rig; another rig has others, and a calibration holds for one rig only."""
         return zlib.crc32(self.specimen.rig.model_dump_json().encode()) % 1_000_000
 
+    @property
+    def spindle_drive(self) -> Cia402Drive | ModbusDrive | SpindleMotor:
+        """What turns the drill."""
+        drives: dict[SpindleMake, Cia402Drive | ModbusDrive | SpindleMotor] = {
+            "cia402": self.drive,
+            "modbus": self.inverter,
+            "grbl": self.motor,
+        }
+        return drives[self.spindle]
+
+    @property
+    def spindle_port(self) -> SlcanAdapter | ModbusDrive | None:
+        """What hangs on the spindle's serial port; None where the motion board has the drill."""
+        if self.spindle == "grbl":
+            return None
+        return self.adapter if self.spindle == "cia402" else self.inverter
+
     def plant(self, faults: Sequence[Fault]) -> None:
-        """Break it, once; what has no time of its own is broken from now on."""
+        """Break it, once; what has no time of its own is broken from now on.
+
+        Raises:
+            ConfigError: a fault of a wire that this bench has not.
+        """
+        if self.spindle != "cia402" and (lost := [fault for fault in faults if fault.name.startswith("can.")]):
+            raise ConfigError(f"fault {lost[0]}: a bench with a {self.spindle} spindle has no CAN bus")
         self._sabotage = Sabotage(self, tuple(faults), seed=self.specimen.seed)
         self.can.carries = self._sabotage.carries
 
@@ -141,7 +174,10 @@ class Bench:
             if self._sabotage is not None:
                 self._sabotage.advance_to(self.now_s)
             self.board.advance_to(self.now_s)
-            self.adapter.advance_to(self.now_s)
+            if self.spindle_port is None:
+                self.motor.advance_to(self.now_s, self.board.spindle_rpm)
+            else:
+                self.spindle_port.advance_to(self.now_s)
             self.machine.advance_to(self.now_s)
 
     @property

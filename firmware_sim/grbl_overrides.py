@@ -64,8 +64,6 @@ class Overrides:
 
     @staticmethod
     def _stop_spindle(program: "Program") -> None:
-        """Only in a completed or beginning hold, and only a spindle that turns."""
-        if program.state.value == "Hold" and program.spindle != "M5":
-            program.spindle_stopped = not program.spindle_stopped
-            program.set_spindle(program.spindle, program.modal.speed)
-            program.report.overrides_changed(accessories=True)
+        """Only in a hold; at its end only, and the other way round where it was stopped already."""
+        if program.state.value == "Hold":
+            program.spindle_toggle_due = True

@@ -87,8 +87,8 @@ class PortLine:
         )
 
 
-def open_serial(port: str, baud: int) -> PortLine:
-    """Open a port for this process alone.
+def open_serial(port: str, baud: int, *, framing: str = "8N1") -> PortLine:
+    """Open a port for this process alone; ``framing`` is data bits, parity (N, E, O) and stop bits.
 
     Raises:
         ConnectionLostError: absent or not openable; the message names path, reason and next step.
@@ -99,7 +99,7 @@ def open_serial(port: str, baud: int) -> PortLine:
         raise ConnectionLostError(_absent(port, OSError(errno.ENOENT, os.strerror(errno.ENOENT))))
     lock = DeviceLock(port)
     try:
-        opened = serial.Serial(port, baud, timeout=0, exclusive=True)
+        opened = serial.Serial(port, baud, int(framing[0]), framing[1], int(framing[2]), timeout=0, exclusive=True)
     except (serial.SerialException, OSError) as error:
         lock.release()
         raise _refusal(port, error) from error

@@ -6,21 +6,26 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import can
+from motion_benches import ORIGIN_MM, Axes, Dialect, settings_for
 from real_time import PtyDevice, in_second_thread, soon
 
 from drivers.clock import Clock, SystemClock
+from drivers.motion.grbl.driver import GrblController
 from drivers.motion.serial_line import open_serial
 from drivers.motion.transport import SerialLine
 from drivers.spindle.canbus import SlcanBus, open_bus
 from drivers.spindle.cia402 import Cia402Spindle
+from drivers.spindle.grbl import GrblSpindle
 from drivers.spindle.interface import Spindle
 from drivers.spindle.modbus import ModbusSpindle
 from firmware_sim.can_wire import Frame
 from firmware_sim.cia402_drive import Cia402Drive
 from firmware_sim.clock import SimClock
+from firmware_sim.grbl_board import GrblBoard
 from firmware_sim.lines import InProcessBus, InProcessLine
 from firmware_sim.modbus_drive import ModbusDrive
 from firmware_sim.slcan_adapter import SlcanAdapter
+from firmware_sim.spindle_motor import SpindleMotor
 
 MAX_SPEED_RPM = 60_000.0
 QUICK_STOP = (0x201, bytes.fromhex("020000000000"))
@@ -83,7 +88,7 @@ class ListeningDrive(ModbusDrive):
 class SerialPlug:
     """A drive on a serial line, and a plug to pull."""
 
-    def __init__(self, drive: ListeningDrive) -> None:
+    def __init__(self, drive: "ListeningDrive | BoardWithDrill") -> None:
         self._drive = drive
         self.stops_s = drive.stops_s
         self.pulled = False
@@ -98,6 +103,29 @@ class SerialPlug:
 
     def advance_to(self, time_s: float) -> None:
         self._drive.advance_to(time_s)
+
+
+class BoardWithDrill:
+    """A motion board with a drill on its spindle output; it tells when it is told to stop."""
+
+    def __init__(self, load: Load, now_s: Callable[[], float], dialect: Dialect) -> None:
+        settings = settings_for(dialect) | {"$30": MAX_SPEED_RPM, "$31": 0, "$32": 0}
+        self._board = GrblBoard(Axes(), dialect=dialect, settings=settings)
+        self._motor = SpindleMotor(load)
+        self._now_s = now_s
+        self.stops_s: list[float] = []
+
+    def receive(self, data: bytes) -> None:
+        if b"!" in data:
+            self.stops_s.append(self._now_s())
+        self._board.receive(data)
+
+    def transmit(self) -> bytes:
+        return self._board.transmit()
+
+    def advance_to(self, time_s: float) -> None:
+        self._board.advance_to(time_s)
+        self._motor.advance_to(time_s, self._board.spindle_rpm)
 
 
 class OnRead:
@@ -234,6 +262,46 @@ def pty_modbus_bench() -> Iterator[SpindleBench]:
 
         def reopen() -> Spindle:
             return modbus(open_serial(port.path, 115_200), clock, heartbeat_s=0.8)
+
+        spindle = reopen()
+        with contextlib.closing(spindle):
+            yield SpindleBench(spindle, clock, reopen, load, plug, during_wait)
+
+
+def grbl(line: SerialLine, clock: Clock, reply_s: float = 0.1) -> GrblSpindle:
+    controller = GrblController(line, clock, origin_mm=ORIGIN_MM, max_feed_mm_per_s=20.0, reply_s=reply_s)
+    return GrblSpindle(controller, clock, max_speed_rpm=MAX_SPEED_RPM, run_up_s=0.6, on_close=controller.close)
+
+
+@contextlib.contextmanager
+def in_process_grbl_bench(dialect: Dialect) -> Iterator[SpindleBench]:
+    """A motion board with a drill, on a virtual clock."""
+    clock, load = SimClock(), Load()
+    plug = SerialPlug(BoardWithDrill(load, clock.now_s, dialect))
+    clock.attach(plug.advance_to)
+    lines: list[OnRead] = []
+
+    def reopen() -> Spindle:
+        lines.append(OnRead(InProcessLine(plug, clock)))
+        return grbl(lines[-1], clock)
+
+    def during_wait(action: Callable[[], None]) -> None:
+        lines[-1].action = action
+
+    spindle = reopen()
+    with contextlib.closing(spindle):
+        yield SpindleBench(spindle, clock, reopen, load, plug, during_wait)
+
+
+@contextlib.contextmanager
+def pty_grbl_bench(dialect: Dialect) -> Iterator[SpindleBench]:
+    """The board behind a pty and pyserial, in real time."""
+    clock, load = SystemClock(), Load()
+    plug = SerialPlug(BoardWithDrill(load, clock.now_s, dialect))
+    with contextlib.closing(PtyDevice(plug)) as port, soon(0.05) as during_wait:
+
+        def reopen() -> Spindle:
+            return grbl(open_serial(port.path, 115_200), clock, reply_s=0.3)
 
         spindle = reopen()
         with contextlib.closing(spindle):
