@@ -18,7 +18,7 @@ from drivers.motion.grbl.driver import GrblController
 from drivers.spindle.interface import Spindle, SpindleStatus
 
 _POLL_S = 0.02
-_HOLD_S = 0.5
+_HOLD_S = 0.3
 """A hold stands by then, and with it the drill's output is off; what does not come to that is reset."""
 _SPEED_TOLERANCE = 0.02
 _STANDSTILL_S = 5.0
@@ -224,9 +224,13 @@ class GrblSpindle(Spindle):
             self._on_close()
 
     def _insist(self, status: SpindleStatus) -> None:
-        """Reset a controller that was told to stop the drill, and has not."""
+        """Reset a controller that was told to stop the drill, and has not; at standstill, if it comes to that."""
         if status.speed_rpm and self._session.fault is None and self._clock.now_s() - self._changed_s > _HOLD_S:
-            self._session.reset()
+            try:
+                self._controller.flush(_HOLD_S)
+            except DeviceTimeoutError:
+                self._session.reset()
+            self._changed_s = self._clock.now_s()
 
     def _stopped_meanwhile(self) -> DeviceFaultError:
         return DeviceFaultError(f"{self._session.name}: stop() came while the drill was to run up")
