@@ -59,17 +59,11 @@ class TinyGMotion(Table):
     """What the firmware's build must begin with, such as "101."."""
 
 
-class Cia402SpindleTable(Table):
-    """A CiA 402 drive on a CAN bus."""
+class SpindleTable(Table):
+    """What every drill is told."""
 
-    backend: Literal["cia402"] = "cia402"
-    interface: Literal["slcan", "socketcan"] = "slcan"
-    channel: str
-    bitrate: Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000] = 1_000_000
-    node_id: int = Field(1, ge=1, le=126)
     speed_rpm: Positive = 45_000.0
     max_speed_rpm: Annotated[Positive, Field(validate_default=True)] = 60_000.0
-    heartbeat_s: Annotated[float, Field(ge=0.05, le=1.0)] = 0.25
 
     @field_validator("max_speed_rpm")
     @classmethod
@@ -77,6 +71,48 @@ class Cia402SpindleTable(Table):
         if max_speed_rpm < (speed_rpm := others.data.get("speed_rpm", 0.0)):
             raise ValueError(f"speed_rpm = {speed_rpm:g} is above it")
         return max_speed_rpm
+
+
+class Cia402SpindleTable(SpindleTable):
+    """A CiA 402 drive on a CAN bus."""
+
+    backend: Literal["cia402"] = "cia402"
+    interface: Literal["slcan", "socketcan"] = "slcan"
+    channel: str
+    bitrate: Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000] = 1_000_000
+    node_id: int = Field(1, ge=1, le=126)
+    heartbeat_s: Annotated[float, Field(ge=0.05, le=1.0)] = 0.25
+
+
+class ModbusSpindleTable(SpindleTable):
+    """A Delta VFD on Modbus RTU."""
+
+    backend: Literal["modbus"] = "modbus"
+    port: str
+    baud: Literal[4_800, 9_600, 19_200, 38_400, 57_600, 115_200] = 38_400
+    framing: Literal["8N1", "8N2", "8E1", "8O1"] = "8N2"
+    station: int = Field(1, ge=1, le=247)
+    rated_current_a: Positive
+    """Of the motor; torque is told as a share of it."""
+    poles: Literal[2, 4, 6, 8] = 2
+    frequency_decimals: Literal[1, 2] = 2
+    """1 for high-speed models, which count in 0.1 Hz."""
+    heartbeat_s: Annotated[float, Field(ge=0.2, le=1.0)] = 0.3
+
+    @field_validator("heartbeat_s")
+    @classmethod
+    def _is_in_tenths(cls, heartbeat_s: float) -> float:
+        if not math.isclose(heartbeat_s, round(heartbeat_s, 1)):
+            raise ValueError("the drive counts in 0.1 s")
+        return heartbeat_s
+
+
+class GrblSpindleTable(SpindleTable):
+    """A drill on the spindle output of the motion's GRBL controller."""
+
+    backend: Literal["grbl"] = "grbl"
+    run_up_s: Annotated[float, Field(gt=0, le=5.0)] = 2.0
+    """How long the drill takes to any speed and to standstill, which the controller does not see."""
 
 
 class OpenCvCamera(Table):
@@ -164,7 +200,7 @@ class RigConfig(BaseModel):
     schema_: Literal[1] = Field(alias="schema")
     name: str
     motion: GrblMotion | TinyGMotion | OtherBackend
-    spindle: Cia402SpindleTable | OtherBackend
+    spindle: Cia402SpindleTable | ModbusSpindleTable | GrblSpindleTable | OtherBackend
     camera: OpenCvCamera | OtherBackend
     tool: ToolTable = ToolTable()
     bench: BenchTable = BenchTable()
@@ -173,6 +209,13 @@ class RigConfig(BaseModel):
     weights: WeightsTable = WeightsTable()
     job: dict[str, Any] = {}
     """Checked by milling.job, which knows the limits of a job."""
+
+    @field_validator("spindle")
+    @classmethod
+    def _has_its_controller(cls, spindle: BaseModel, others: ValidationInfo) -> BaseModel:
+        if isinstance(spindle, GrblSpindleTable) and not isinstance(others.data.get("motion"), GrblMotion):
+            raise ValueError('a drill on the controller of the motion needs [motion] backend = "grbl"')
+        return spindle
 
     @property
     def camera_settings(self) -> str:
@@ -183,7 +226,7 @@ class RigConfig(BaseModel):
 
 BUILT_IN: Mapping[Kind, Mapping[str, type[Table]]] = {
     "motion": {"grbl": GrblMotion, "tinyg": TinyGMotion},
-    "spindle": {"cia402": Cia402SpindleTable},
+    "spindle": {"cia402": Cia402SpindleTable, "modbus": ModbusSpindleTable, "grbl": GrblSpindleTable},
     "camera": {"opencv": OpenCvCamera},
 }
 

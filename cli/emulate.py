@@ -17,7 +17,7 @@ from drivers.errors import ConfigError
 if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.recorder import Recorder
-    from firmware_sim.bench import Dialect, MotionMake
+    from firmware_sim.bench import Dialect, MotionMake, SpindleMake
     from firmware_sim.faults import Fault
     from firmware_sim.serve import BenchService, ServiceStatus
     from milling.eyes import CompletionReader
@@ -48,6 +48,13 @@ if TYPE_CHECKING:
     help="Firmware of a GRBL board.",
 )
 @click.option(
+    "--spindle",
+    type=click.Choice(["cia402", "modbus", "grbl"]),
+    default="cia402",
+    show_default=True,
+    help="What turns the drill: a drive on CAN, an inverter on Modbus, or the motion board.",
+)
+@click.option(
     "--fps", type=click.FloatRange(1.0, 60.0), default=20.0, show_default=True, help="Pictures per second and eye."
 )
 @click.option(
@@ -64,6 +71,7 @@ def emulate(
     rig_out: Path | None,
     motion: "MotionMake",
     dialect: "Dialect",
+    spindle: "SpindleMake",
     fps: float,
     truth_out: Path | None,
     until_stdin_closes: bool,
@@ -88,7 +96,7 @@ def emulate(
     drawn = specimen_for(seed, specimen)
     if sys.stderr.isatty():
         click.echo("Preparing the bench...", err=True)
-    bench = Bench(drawn, motion=motion, dialect=dialect, faults=planted)
+    bench = Bench(drawn, motion=motion, dialect=dialect, spindle=spindle, faults=planted)
     with _stop_signals() as stopped, BenchService(bench, fps=fps) as service:
         name = ", ".join([f"virtual bench, seed {seed}", *([specimen.name] if specimen else []), *map(str, planted)])
         text = rig_text(service, name)
@@ -137,7 +145,7 @@ def recorded(recorder: "Recorder", faults: "Sequence[Fault]", clock: "Clock") ->
 
 def rig_text(service: "BenchService", name: str) -> str:
     """The rig file of a served bench."""
-    from firmware_sim.bench import MAX_FEED_MM_S, MAX_SPEED_RPM, NODE_ID, ORIGIN_MM, PARK_MM
+    from firmware_sim.bench import MAX_FEED_MM_S, ORIGIN_MM, PARK_MM
     from firmware_sim.optics import HEIGHT_PX, WIDTH_PX
 
     left, right = service.camera_urls
@@ -159,14 +167,7 @@ firmware = "{service.bench.motion_firmware}"
 [motion.settings]                  # must read back like this
 {settings}
 
-[spindle]
-backend = "cia402"
-interface = "slcan"
-channel = "{service.spindle_port}"
-bitrate = {service.bench.can.bit_rate}
-node_id = {NODE_ID}
-speed_rpm = 45000
-max_speed_rpm = {MAX_SPEED_RPM}
+{_spindle_text(service)}
 
 [camera]
 backend = "opencv"
@@ -186,6 +187,29 @@ park_mm = {_vector(PARK_MM)}        # where the drill is out of both pictures
 [certificate]
 required = false                   # a rig of devices needs one by `mill doctor`
 """
+
+
+def _spindle_text(service: "BenchService") -> str:
+    from firmware_sim.bench import MAX_SPEED_RPM, NODE_ID
+    from firmware_sim.modbus_drive import BAUD, POLES, RATED_CURRENT_A
+
+    own = {
+        "cia402": f"""\
+interface = "slcan"
+channel = "{service.spindle_port}"
+bitrate = {service.bench.can.bit_rate}
+node_id = {NODE_ID}""",
+        "modbus": f"""\
+port = "{service.spindle_port}"
+baud = {BAUD}
+rated_current_a = {RATED_CURRENT_A:g}
+poles = {POLES}
+frequency_decimals = 1
+heartbeat_s = 0.5""",
+        "grbl": "run_up_s = 1.0",
+    }[service.bench.spindle]
+    speeds = f"speed_rpm = 45000\nmax_speed_rpm = {MAX_SPEED_RPM}"
+    return f'[spindle]\nbackend = "{service.bench.spindle}"\n{own}\n{speeds}'
 
 
 def _vector(values: tuple[float, float, float]) -> str:

@@ -12,11 +12,21 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import click
 
-from cli.config import Cia402SpindleTable, GrblMotion, OpenCvCamera, OtherBackend, RigConfig, TinyGMotion, load_rig
+from cli.config import (
+    Cia402SpindleTable,
+    GrblMotion,
+    GrblSpindleTable,
+    ModbusSpindleTable,
+    OpenCvCamera,
+    OtherBackend,
+    RigConfig,
+    TinyGMotion,
+    load_rig,
+)
 from cli.emulate import sorted_faults
 from cli.options import BenchChoice
 from drivers.backends import load_backend
@@ -29,6 +39,9 @@ from drivers.recorder import Recorder, TracedRecorder
 from drivers.spindle.interface import Spindle
 from drivers.trace_file import Trace
 from drivers.traced_devices import TracedMotion, TracedSpindle
+
+if TYPE_CHECKING:
+    from drivers.motion.grbl.driver import GrblController
 
 EMULATOR_START_S = 120.0
 """The first start of a virtual bench compiles its renderer."""
@@ -67,21 +80,29 @@ class WiredRig:
     truth_file: Path | None = None
     trace: Trace | None = None
     """Takes down what passes over the wires, what is asked of the devices, and what the program decides."""
+    _drills_own: "GrblController | None" = None
+    """A controller that was opened for its drill alone; it is closed with the drill unless its motion is opened too."""
+    _controller: "GrblController | None" = None
+    """The controller that is open, if a drill may hang on it."""
 
     def open_motion(self) -> MotionController:
-        """Open the motion controller of the rig file."""
+        """Open the motion controller of the rig file; the one that was opened for its drill, where there is one."""
         if self.trace is None:
             return self._motion()
         with self.trace.call("motion", "open"):
             return TracedMotion(self._motion(), self.trace)
 
     def _motion(self) -> MotionController:
+        if self._drills_own is not None:
+            controller, self._drills_own = self._drills_own, None
+            return controller
         table = self.config.motion
         if isinstance(table, OtherBackend):
             return cast(MotionController, load_backend("motion", table.backend)(_raw(table), self.clock))
         if isinstance(table, TinyGMotion):
             return open_tinyg(table, self.clock, self.trace)
-        return open_grbl(table, self.clock, self.trace)
+        self._controller = open_grbl(table, self.clock, self.trace)
+        return self._controller
 
     def open_spindle(self) -> Spindle:
         """Open the spindle of the rig file."""
@@ -94,7 +115,36 @@ class WiredRig:
         table = self.config.spindle
         if isinstance(table, OtherBackend):
             return cast(Spindle, load_backend("spindle", table.backend)(_raw(table), self.clock))
+        if isinstance(table, GrblSpindleTable):
+            return self._open_on_controller(table)
+        if isinstance(table, ModbusSpindleTable):
+            return open_modbus(table, self.clock, self.trace)
         return open_cia402(table, self.clock, self.trace)
+
+    def _open_on_controller(self, table: GrblSpindleTable) -> Spindle:
+        from drivers.spindle.grbl import GrblSpindle
+
+        if self._controller is None or self._controller.session.is_lost:
+            self._motion()
+            self._drills_own = self._controller
+        controller = self._controller
+        assert controller is not None
+        try:
+            return GrblSpindle(
+                controller,
+                self.clock,
+                max_speed_rpm=table.max_speed_rpm,
+                run_up_s=table.run_up_s,
+                on_close=self._close_drills_own,
+            )
+        except BaseException:
+            self._close_drills_own()
+            raise
+
+    def _close_drills_own(self) -> None:
+        if self._drills_own is not None:
+            controller, self._drills_own = self._drills_own, None
+            controller.close()
 
     def open_camera(self) -> StereoCamera:
         """Open the stereo camera of the rig file."""
@@ -134,7 +184,7 @@ def _raw(table: OtherBackend) -> Mapping[str, Any]:
     return table.model_dump(exclude={"backend"})
 
 
-def open_grbl(table: GrblMotion, clock: Clock, trace: Trace | None = None) -> MotionController:
+def open_grbl(table: GrblMotion, clock: Clock, trace: Trace | None = None) -> "GrblController":
     """GRBL on its serial port."""
     from drivers.motion.grbl.driver import GrblController
 
@@ -174,16 +224,18 @@ def open_tinyg(table: TinyGMotion, clock: Clock, trace: Trace | None = None) -> 
         raise
 
 
-def _serial_line(port: str, baud: int, trace: Trace | None) -> SerialLine:
-    """A motion controller's port, with a trace of what passes if one is asked for."""
+def _serial_line(
+    port: str, baud: int, trace: Trace | None, *, wire: str = "motion", framing: str = "8N1"
+) -> SerialLine:
+    """A serial port, with a trace of what passes if one is asked for."""
     from drivers.motion.serial_line import open_serial
 
-    line = open_serial(port, baud)
+    line = open_serial(port, baud, framing=framing)
     if trace is None:
         return line
     from drivers.trace import TracedLine
 
-    return TracedLine(line, trace, "motion")
+    return TracedLine(line, trace, wire)
 
 
 def open_cia402(table: Cia402SpindleTable, clock: Clock, trace: Trace | None = None) -> Spindle:
@@ -203,6 +255,23 @@ def open_cia402(table: Cia402SpindleTable, clock: Clock, trace: Trace | None = N
     except BaseException:
         bus.shutdown()
         raise
+
+
+def open_modbus(table: ModbusSpindleTable, clock: Clock, trace: Trace | None = None) -> Spindle:
+    """A Delta VFD on its serial line."""
+    from drivers.spindle.modbus import ModbusSpindle
+
+    return ModbusSpindle(
+        _serial_line(table.port, table.baud, trace, wire="spindle", framing=table.framing),
+        clock,
+        station=table.station,
+        baud=table.baud,
+        max_speed_rpm=table.max_speed_rpm,
+        rated_current_a=table.rated_current_a,
+        poles=table.poles,
+        frequency_unit_hz=10.0**-table.frequency_decimals,
+        heartbeat_s=table.heartbeat_s,
+    )
 
 
 def open_opencv(table: OpenCvCamera, clock: Clock, trace: Trace | None = None) -> StereoCamera:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from cli.config import RigConfig
+from cli.config import GrblSpindleTable, RigConfig
 from cli.options import BenchChoice, rig_option
 from cli.rig import Rig, rig_for
 from drivers.clock import Clock
@@ -37,14 +37,18 @@ def stop(rig: Path | None) -> None:
     ways = {"motion": _stop_motion, "spindle": _stop_spindle}
     failures = []
     with rig_for(BenchChoice(rig)) as bench:
+        if isinstance(bench.config.spindle, GrblSpindleTable):
+            # One wire: the reset that stops the motion stops the drill.
+            ways = {"motion": _stop_motion}
         stops: dict[str, Future[None]] = {}
         with ThreadPoolExecutor(len(ways)) as threads:
-            for name in _as_they_become_free(_lock_names(bench.config), bench.clock):
+            locks = {name: lock for name, lock in _lock_names(bench.config).items() if name in ways}
+            for name in _as_they_become_free(locks, bench.clock):
                 stops[name] = threads.submit(ways[name], bench)
             for name in ways:
                 try:
                     stops[name].result()
-                    click.echo(f"{name}: stopped")
+                    click.echo(f"{name}: stopped" if len(ways) > 1 else f"{name} and spindle: stopped")
                 except MillError as error:
                     failures.append(f"{name}: {error}")
     if failures:

@@ -57,6 +57,7 @@ def mill_window(asked: Window) -> None:
     from cli.score import Scorer
     from doctor.certificate import require
     from milling import loop
+    from milling.load import require_load
     from milling.loop import Finders
     from milling.record import RunRecorder
     from vision.completion import CompletionReader
@@ -90,6 +91,7 @@ def mill_window(asked: Window) -> None:
             closed_in_the_end(bench.open_camera(), while_closing) as camera,
             closed_in_the_end(bench.open_motion(), while_closing) as motion,
         ):
+            require_load(spindle)
             identity = rig_identity(bench, motion, camera, spindle.identity)
             certified = bench.config.certificate
             if certified.required and not chosen.emulate:

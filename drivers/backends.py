@@ -19,6 +19,8 @@ BUILT_IN: dict[str, str] = {
     "motion.grbl": "drivers.motion.grbl.driver:GrblController",
     "motion.tinyg": "drivers.motion.tinyg.driver:TinyGController",
     "spindle.cia402": "drivers.spindle.cia402:Cia402Spindle",
+    "spindle.grbl": "drivers.spindle.grbl:GrblSpindle",
+    "spindle.modbus": "drivers.spindle.modbus:ModbusSpindle",
     "camera.opencv": "drivers.camera.stereo:StereoPair",
 }
 

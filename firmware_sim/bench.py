@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Final, Literal
 
-from drivers.errors import ConnectionLostError
+from drivers.errors import ConfigError, ConnectionLostError
 from firmware_sim import tinyg_bench
 from firmware_sim.can_wire import CanWire
 from firmware_sim.cia402_drive import Cia402Drive
@@ -15,13 +15,16 @@ from firmware_sim.grbl_board import GrblBoard
 from firmware_sim.lines import InProcessBus, InProcessLine, InProcessSource, in_process_sources
 from firmware_sim.machine import Machine
 from firmware_sim.microscope import EachEye, Image, Microscope, Shot
+from firmware_sim.modbus_drive import ModbusDrive
 from firmware_sim.sabotage import Sabotage
 from firmware_sim.slcan_adapter import SlcanAdapter
 from firmware_sim.specimen import Specimen, draw_specimen
+from firmware_sim.spindle_motor import SpindleMotor
 from firmware_sim.tinyg_board import TinyGBoard
 
 Dialect = Literal["gnea", "grblhal"]
 MotionMake = Literal["grbl", "tinyg"]
+SpindleMake = Literal["cia402", "modbus", "grbl"]
 
 ORIGIN_MM: Final = (-25.0, -10.0, -20.0)
 """Where the board's machine coordinates put the origin of {R}: machine zero is at the home switches."""
@@ -57,6 +60,7 @@ class Bench:
         *,
         motion: MotionMake = "grbl",
         dialect: Dialect = "gnea",
+        spindle: SpindleMake = "cia402",
         seed: int = 0,
         faults: Sequence[Fault] = (),
     ) -> None:
@@ -66,8 +70,11 @@ class Bench:
         """
         self.specimen = draw_specimen(seed) if specimen is None else specimen
         self.dialect: Dialect = dialect
+        self.spindle: SpindleMake = spindle
         self.machine = Machine(self.specimen)
         self.motion: MotionMake = motion
+        if spindle == "grbl" and motion != "grbl":
+            raise ConfigError(f"spindle grbl: is on a GRBL board, found motion {motion}; choose another spindle")
         self.board = self._motion_board()
         self.board.commission(f"mill-bench-{self.serial_number}")
         self.drive = Cia402Drive(
@@ -75,6 +82,9 @@ class Bench:
         )
         self.can = CanWire([self.drive])
         self.adapter = SlcanAdapter(self.can)
+        self.inverter = ModbusDrive(self.machine)
+        self.motor = SpindleMotor(self.machine)
+        """Only the drive that ``spindle`` names is switched on."""
         self.now_s = 0.0
         self._sabotage: Sabotage | None = None
         if faults:
@@ -84,6 +94,8 @@ class Bench:
         if self.motion == "tinyg":
             return tinyg_bench.new_board(self.machine)
         settings = {**MECHANICAL_SETTINGS, **_COMMISSIONING, **_DIALECT_SETTINGS[self.dialect]}
+        if self.spindle == "grbl":
+            settings |= {"$30": MAX_SPEED_RPM, "$31": 0, "$32": 0}
         return GrblBoard(self.machine, dialect=self.dialect, settings=settings)
 
     @property
@@ -101,14 +113,33 @@ class Bench:
         """Of every device of this rig; another rig has others, and a calibration holds for one rig only."""
         return zlib.crc32(self.specimen.rig.model_dump_json().encode()) % 1_000_000
 
+    @property
+    def spindle_drive(self) -> Cia402Drive | ModbusDrive | SpindleMotor:
+        """What turns the drill."""
+        drives: dict[SpindleMake, Cia402Drive | ModbusDrive | SpindleMotor] = {
+            "cia402": self.drive,
+            "modbus": self.inverter,
+            "grbl": self.motor,
+        }
+        return drives[self.spindle]
+
+    @property
+    def spindle_port(self) -> SlcanAdapter | ModbusDrive | None:
+        """What hangs on the spindle's serial port; None where the motion board has the drill."""
+        if self.spindle == "grbl":
+            return None
+        return self.adapter if self.spindle == "cia402" else self.inverter
+
     def plant(self, faults: Sequence[Fault]) -> None:
         """Break it, once; what has no time of its own is broken from now on.
 
         Raises:
-            ConfigError: its motion board cannot have this fault.
+            ConfigError: its motion board cannot have this fault, or it has not the wire.
         """
         if self.motion == "tinyg":
             tinyg_bench.check_faults(faults)
+        if self.spindle != "cia402" and (lost := [fault for fault in faults if fault.name.startswith("can.")]):
+            raise ConfigError(f"fault {lost[0]}: a bench with a {self.spindle} spindle has no CAN bus")
         self._sabotage = Sabotage(self, tuple(faults), seed=self.specimen.seed)
         self.can.carries = self._sabotage.carries
 
@@ -170,7 +201,11 @@ class Bench:
             if self._sabotage is not None:
                 self._sabotage.advance_to(self.now_s)
             self.board.advance_to(self.now_s)
-            self.adapter.advance_to(self.now_s)
+            if self.spindle_port is None:
+                assert isinstance(self.board, GrblBoard)
+                self.motor.advance_to(self.now_s, self.board.spindle_rpm)
+            else:
+                self.spindle_port.advance_to(self.now_s)
             self.machine.advance_to(self.now_s)
 
     @property

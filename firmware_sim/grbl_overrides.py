@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+from firmware_sim.grbl_states import Flag
+
 if TYPE_CHECKING:
     from firmware_sim.grbl_program import Program
 
@@ -35,7 +37,10 @@ class Overrides:
         """Act on what was asked."""
         if not self._asked:
             return
-        asked, self._asked = self._asked, []
+        # A hold that came before them counts first.
+        waits = (_SPINDLE_STOP,) if Flag.HOLD in program.flags else ()
+        asked = [byte for byte in self._asked if byte not in waits]
+        self._asked = [byte for byte in self._asked if byte in waits]
         before = (self.feed, self.rapid, self.spindle)
         for byte in asked:
             if byte == _FEED_RESET:
@@ -64,8 +69,6 @@ class Overrides:
 
     @staticmethod
     def _stop_spindle(program: "Program") -> None:
-        """Only in a completed or beginning hold, and only a spindle that turns."""
-        if program.state.value == "Hold" and program.spindle != "M5":
-            program.spindle_stopped = not program.spindle_stopped
-            program.set_spindle(program.spindle, program.modal.speed)
-            program.report.overrides_changed(accessories=True)
+        """Only in a hold; at its end only, and the other way round where it was stopped already."""
+        if program.state.value == "Hold":
+            program.spindle_toggle_due = True

@@ -78,6 +78,8 @@ class Program:
         self.spindle = "M5"
         self.spindle_rpm = 0.0
         self.spindle_stopped = False
+        self.spindle_toggle_due = False
+        """The spindle stop override waits for the end of a hold."""
         self.flood = False
         self.overrides = Overrides()
         self.report = Reporter(self)

@@ -143,6 +143,12 @@ def _cycle_stop(program: "Program") -> None:
 
 def while_suspended(program: "Program") -> Waits:
     """The spindle stops while the door is open, and is back at speed before motion goes on."""
+    if program.state is State.HOLD and program.suspend.complete and program.spindle_toggle_due:
+        program.spindle_toggle_due = False
+        if program.spindle != "M5":
+            program.spindle_stopped = not program.spindle_stopped
+            program.set_spindle(program.spindle, program.modal.speed)
+            program.report.overrides_changed(accessories=True)
     if program.state is State.SLEEP and program.suspend.complete and not program.suspend.told:
         program.suspend.told = True
         program.say("[MSG:Sleeping]")

@@ -15,6 +15,8 @@ from firmware_sim.faults import Fault
 from firmware_sim.grbl_board import GrblBoard
 from firmware_sim.machine import Machine
 from firmware_sim.microscope import Image, Shot
+from firmware_sim.modbus_drive import ModbusDrive
+from firmware_sim.spindle_motor import SpindleMotor
 from firmware_sim.tinyg_board import TinyGBoard
 
 if TYPE_CHECKING:
@@ -33,7 +35,10 @@ class Parts(Protocol):
 
     machine: Machine
     board: GrblBoard | TinyGBoard
-    drive: Cia402Drive
+
+    @property
+    def spindle_drive(self) -> Cia402Drive | ModbusDrive | SpindleMotor:
+        """What turns the drill."""
 
 
 class Sabotage:
@@ -181,19 +186,19 @@ def _block(parts: Parts, _value: float) -> None:
 
 
 def _overspeed(parts: Parts, _value: float) -> None:
-    parts.drive.speed_factor = OVERSPEED
+    parts.spindle_drive.speed_factor = OVERSPEED
 
 
 def _slow(parts: Parts, share: float) -> None:
-    parts.drive.speed_factor = 1.0 - share
+    parts.spindle_drive.speed_factor = 1.0 - share
 
 
 def _run_away(parts: Parts, _value: float) -> None:
-    parts.drive.runs_by_itself = True
+    parts.spindle_drive.runs_by_itself = True
 
 
 def _ignore_silence(parts: Parts, _value: float) -> None:
-    parts.drive.minds_silence = False
+    parts.spindle_drive.minds_silence = False
 
 
 _AT_ONCE: Final[dict[str, Callable[[Parts, float], None]]] = {
@@ -209,6 +214,6 @@ _AT_ONCE: Final[dict[str, Callable[[Parts, float], None]]] = {
     "spindle.overspeed": _overspeed,
     "spindle.starts_by_itself": _run_away,
     "spindle.no_consumer": _ignore_silence,
-    "spindle.emcy": lambda parts, code: parts.drive.fail(round(code)),
+    "spindle.emcy": lambda parts, code: parts.spindle_drive.fail(round(code)),
 }
 """What happens in one moment and stays; the others are looked up where bytes, frames and pictures pass."""

@@ -82,7 +82,7 @@ class BenchService:
 
     @property
     def spindle_port(self) -> str:
-        """Path of the CAN adapter's serial port."""
+        """Path of the serial port of the CAN adapter, or of the inverter."""
         return self._spindle.path
 
     @property
@@ -136,19 +136,20 @@ class BenchService:
                 write_json_atomically(truth_file, self._truth())
 
     def _serve(self, stopped: Callable[[], bool], on_status: Callable[[ServiceStatus], None] | None) -> None:
-        bench, clock = self.bench, self._clock
+        bench, clock, drive = self.bench, self._clock, self.bench.spindle_port
         started_s = clock.now_s() - bench.now_s
         status_at_s = clock.now_s()
         while not stopped():
             behind_s = clock.now_s() - started_s - bench.now_s
-            wires = [self._spindle] if self._motion.closed else [self._motion, self._spindle]
+            wires = [] if self._motion.closed else [self._motion]
+            wires += [] if drive is None else [self._spindle]
             readable, _, _ = select.select(wires, [], [], max(0.0, POLL_S - behind_s))
             if bench.unplugged:
                 self._motion.close()
             elif self._motion in readable:
                 bench.receive(self._motion.read())
-            if self._spindle in readable:
-                bench.adapter.receive(self._spindle.read())
+            if drive is not None and self._spindle in readable:
+                drive.receive(self._spindle.read())
             lag_s = clock.now_s() - started_s - bench.now_s
             if lag_s > LONGEST_LAG_S:
                 started_s += lag_s - LONGEST_LAG_S
@@ -158,7 +159,8 @@ class BenchService:
                 self._motion.occupy()
             if not bench.unplugged:
                 self._motion.write(bench.transmit())
-            self._spindle.write(bench.adapter.transmit())
+            if drive is not None:
+                self._spindle.write(drive.transmit())
             if on_status is not None and clock.now_s() >= status_at_s:
                 status_at_s = clock.now_s() + STATUS_PERIOD_S
                 on_status(self._status())

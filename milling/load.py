@@ -16,6 +16,9 @@ from dataclasses import dataclass
 from math import sqrt
 from statistics import fmean, median, pstdev
 
+from drivers.errors import ConfigError
+from drivers.spindle.interface import Spindle
+
 LEAST_SAMPLES = 3
 SETTLED_MM = 0.06
 """Depth below contact from which the load follows the chord: above it, contact's uncertainty rules."""
@@ -35,6 +38,20 @@ _STRANGERS_SHARE = 0.8
 _CRAWL = 0.5
 _STEADY = 0.15
 """What the time stamps of two position reports make of a steady feed."""
+
+
+def require_load(spindle: Spindle) -> None:
+    """Refuse a drill that cannot feel bone, before anything moves.
+
+    Raises:
+        ConfigError: its torque is not known.
+    """
+    if not spindle.feels_load:
+        raise ConfigError(
+            f"spindle: {spindle.identity}: tells no torque, so that it cannot feel bone, and mill goes deeper on "
+            "nothing less; mill with a drive that tells its torque or current (docs/rig.md); calibrate, jog and doctor "
+            "work with this one"
+        )
 
 
 @dataclass(frozen=True)

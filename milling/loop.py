@@ -27,7 +27,7 @@ from milling.job import Job
 from milling.journal import lap_told, points_told
 from milling.laps import Laps, Permits
 from milling.latch import Latch, Reaction, reaction_to
-from milling.load import Idle, LoadMeter
+from milling.load import Idle, LoadMeter, require_load
 from milling.permission import Ledger
 from milling.planner import policy_for
 from milling.point import PointState
@@ -79,7 +79,11 @@ def run(
         progress: told at each stage and lap.
         stop_requested: looked at before every segment and in every wait; True ends the run within a second.
         standing: an earlier run's window, to go on with.
+
+    Raises:
+        ConfigError: the drill cannot feel bone; nothing has moved.
     """
+    require_load(rig.spindle)
     try:
         return _Run(rig, calibration, finders, job, recorder, progress, stop_requested, standing).run()
     finally:

@@ -58,7 +58,7 @@ NAMED: Final = {
     "motion.settings_changed": r"motion: answers.*\$110",
     "spindle.slow=10%": r"spindle: (steady speed|answers.*rpm)",
     "spindle.no_consumer": r"spindle: (speed after host silence|answers.*(heartbeat|1016h))",
-    "can.drop=0.02": r"spindle: CAN answers lost",
+    "can.drop=0.02": r"spindle: answers lost",
     "disk.full": r"computer: free disk",
 }
 """What is planted, and the finding that names it."""

@@ -94,14 +94,14 @@ class PortLine:
         )
 
 
-def open_serial(port: str, baud: int) -> PortLine:
-    """Open a port for this process alone.
+def open_serial(port: str, baud: int, *, framing: str = "8N1") -> PortLine:
+    """Open a port for this process alone; ``framing`` is data bits, parity (N, E, O) and stop bits.
 
     Raises:
         ConnectionLostError: absent or not openable; the message names path, reason and next step.
         DeviceBusyError: another process, which the message names, has it.
     """
-    line = _open(port, baud)
+    line = _open(port, baud, framing)
     line.hand_on_at_once()
     return line
 
@@ -138,13 +138,13 @@ def borrowed_serial(port: str, baud: int) -> Iterator[PortLine]:
         os.close(fd)
 
 
-def _open(port: str, baud: int) -> PortLine:
+def _open(port: str, baud: int, framing: str = "8N1") -> PortLine:
     # Before the lock, so that a wrong path is told as what it is.
     if not os.path.exists(port):  # noqa: PTH110  (a path as the user wrote it, not one of ours)
         raise ConnectionLostError(_absent(port, OSError(errno.ENOENT, os.strerror(errno.ENOENT))))
     lock = DeviceLock(port)
     try:
-        opened = serial.Serial(port, baud, timeout=0, exclusive=True)
+        opened = serial.Serial(port, baud, int(framing[0]), framing[1], int(framing[2]), timeout=0, exclusive=True)
     except (serial.SerialException, OSError) as error:
         lock.release()
         raise _refusal(port, error) from error

@@ -4,6 +4,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 
 from drivers.device import Device
+from drivers.errors import DeviceFaultError
 
 SILENT_AFTER = 0.8
 """A drive that says nothing for this share of the heartbeat's time while it is asked is silent: the host gives up
@@ -12,7 +13,10 @@ before the drive does."""
 
 @dataclass(frozen=True)
 class SpindleStatus:
-    """Actual speed, torque as a fraction of rated torque, the drive's fault in words or None, time of the report."""
+    """Actual speed, torque as a fraction of rated torque, the drive's fault in words or None, time of the report.
+
+    See ``Spindle.feels_load`` for drills that tell neither speed nor torque.
+    """
 
     speed_rpm: float
     torque_fraction: float
@@ -35,7 +39,18 @@ class Spindle(Device):
     @property
     @abstractmethod
     def heartbeat_s(self) -> float:
-        """The longest silence of the host that leaves the drill turning."""
+        """The longest silence of the host that leaves the drill turning; infinite where nothing there watches it.
+
+        Danger: such a drill turns on when the host is gone.
+        """
+
+    @property
+    def feels_load(self) -> bool:
+        """Whether speed and torque are the drill's own.
+
+        Where not, the speed is what the drill was told, the torque is NaN, and a blocked drill is not noticed.
+        """
+        return True
 
     @property
     def answers(self) -> tuple[int, int] | None:
@@ -58,6 +73,8 @@ class Spindle(Device):
     def status(self) -> SpindleStatus:
         """The newest report of the drive, and a sign of life to it. Waits ``SILENT_AFTER`` heartbeats at most.
 
+        Where nothing watches the host it waits for three replies, half a second at most.
+
         Raises:
             DeviceTimeoutError: the drive has been silent for too long.
             ConnectionLostError: the wire is gone.
@@ -71,3 +88,11 @@ class Spindle(Device):
             DeviceTimeoutError: not at speed in time.
             DeviceFaultError: the drive reports a fault.
         """
+
+    def reset_fault(self) -> None:
+        """Acknowledge a fault; the drill stays off until ``start()``. An operator's act.
+
+        Raises:
+            DeviceFaultError: the cause is still there, or this drive takes no such command.
+        """
+        raise DeviceFaultError(f"{self.identity}: its faults are reset at the drive itself; do so, and open it again")

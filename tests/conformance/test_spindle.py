@@ -1,24 +1,40 @@
 """What every spindle promises, on every implementation; the rig's own with ``--rig FILE``."""
 
+import math
 import os
 from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
 import pytest
-from spindle_benches import MAX_SPEED_RPM, SpindleBench, in_process_bench, pty_bench, rig_file_bench
+from spindle_benches import (
+    MAX_SPEED_RPM,
+    SpindleBench,
+    in_process_bench,
+    in_process_grbl_bench,
+    in_process_modbus_bench,
+    pty_bench,
+    pty_grbl_bench,
+    pty_modbus_bench,
+    rig_file_bench,
+)
 
 from drivers.errors import DeviceBusyError, DeviceFaultError, DeviceTimeoutError
-from drivers.spindle.cia402 import Cia402Spindle
 from drivers.spindle.interface import SILENT_AFTER
 
 EMULATED: dict[str, Any] = {
     "in-process": partial(in_process_bench, lawicel=False),
     "in-process-slcan": partial(in_process_bench, lawicel=True),
     "pty-slcan": pty_bench,
+    "in-process-modbus": in_process_modbus_bench,
+    "pty-modbus": pty_modbus_bench,
+    "in-process-grbl-gnea": partial(in_process_grbl_bench, "gnea"),
+    "in-process-grbl-grblhal": partial(in_process_grbl_bench, "grblhal"),
+    "pty-grbl": partial(pty_grbl_bench, "gnea"),
 }
 SPEED_RPM = 10_000.0
-QUICK_STOP = (0x201, bytes.fromhex("020000000000"))
+WATCHED_S = 1.0
+"""For drills that nothing watches."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -65,11 +81,11 @@ def test_start_and_stop_twice(spindle_bench: SpindleBench) -> None:
     for _ in range(2):
         spindle.start(SPEED_RPM)
         assert spindle.wait_until_at_speed(5.0).speed_rpm == pytest.approx(SPEED_RPM, rel=0.03)
-        look_for(spindle_bench, 2 * spindle.heartbeat_s)
+        look_for(spindle_bench, 2 * min(spindle.heartbeat_s, WATCHED_S))
         status = spindle.status()
         assert status.fault is None
         assert status.speed_rpm == pytest.approx(SPEED_RPM, rel=0.03)
-        assert 0 < status.torque_fraction < 1
+        assert 0 < status.torque_fraction < 1 if spindle.feels_load else math.isnan(status.torque_fraction)
         spindle.stop()
         assert spindle.wait_until_at_speed(5.0).speed_rpm == pytest.approx(0.0, abs=60.0)
 
@@ -114,7 +130,7 @@ def test_stop_reaches_the_drive_within_20_ms_whatever_the_first_thread_does(spin
     with pytest.raises(DeviceFaultError, match=r"stop\(\) came"):
         bench.spindle.wait_until_at_speed(10.0)
     bench.clock.sleep_s(0.02)
-    heard_s = [time_s for time_s, frame in bench.plug.heard if frame == QUICK_STOP and time_s >= called_s[0]]
+    heard_s = [time_s for time_s in bench.plug.stops_s if time_s >= called_s[0]]
     assert heard_s[0] - called_s[0] < 0.02
     assert bench.spindle.wait_until_at_speed(5.0).speed_rpm == pytest.approx(0.0, abs=60.0)
 
@@ -125,13 +141,17 @@ def test_status_waits_for_nothing_long(spindle_bench: SpindleBench) -> None:
     for _ in range(10):
         before_s = clock.now_s()
         spindle.status()
-        assert clock.now_s() - before_s <= SILENT_AFTER * spindle.heartbeat_s + 0.02
+        assert clock.now_s() - before_s <= min(SILENT_AFTER * spindle.heartbeat_s, WATCHED_S) + 0.02
 
 
 def test_a_frozen_loop_stops_the_drill(spindle_wire_bench: SpindleBench) -> None:
     bench = spindle_wire_bench
     bench.spindle.start(SPEED_RPM)
     bench.spindle.wait_until_at_speed(5.0)
+    if math.isinf(bench.spindle.heartbeat_s):
+        bench.clock.sleep_s(5.0)
+        assert bench.load.speed_rpm == pytest.approx(SPEED_RPM, rel=0.03)  # nothing there minds: it says so
+        return
     bench.clock.sleep_s(bench.spindle.heartbeat_s + 0.2)
     assert bench.load.speed_rpm == pytest.approx(0.0, abs=60.0)
     status = bench.spindle.status()
@@ -144,12 +164,12 @@ def test_a_frozen_loop_stops_the_drill(spindle_wire_bench: SpindleBench) -> None
 
 def test_a_standing_drill_may_be_forgotten(spindle_wire_bench: SpindleBench) -> None:
     bench = spindle_wire_bench
-    bench.clock.sleep_s(2 * bench.spindle.heartbeat_s)
+    bench.clock.sleep_s(2 * min(bench.spindle.heartbeat_s, WATCHED_S))
     assert bench.spindle.status().fault is None
     bench.spindle.start(SPEED_RPM)
     bench.spindle.stop()
     bench.spindle.wait_until_at_speed(5.0)
-    bench.clock.sleep_s(2 * bench.spindle.heartbeat_s)
+    bench.clock.sleep_s(2 * min(bench.spindle.heartbeat_s, WATCHED_S))
     assert bench.spindle.status().fault is None
     bench.spindle.start(SPEED_RPM)
     bench.spindle.wait_until_at_speed(5.0)
@@ -160,17 +180,23 @@ def test_a_blocked_drill_is_a_fault_that_latches(spindle_wire_bench: SpindleBenc
     bench.spindle.start(SPEED_RPM)
     bench.spindle.wait_until_at_speed(5.0)
     bench.load.torque = 5.0
+    if not bench.spindle.feels_load:
+        bench.clock.sleep_s(1.0)
+        assert bench.load.speed_rpm == pytest.approx(0.0, abs=60.0)
+        status = bench.spindle.status()
+        assert status.speed_rpm == SPEED_RPM  # what it was told; it says that it feels nothing
+        assert math.isnan(status.torque_fraction)
+        return
     until_s = bench.clock.now_s() + 5.0
     while (status := bench.spindle.status()).fault is None and bench.clock.now_s() < until_s:
         bench.clock.sleep_s(0.01)
     assert status.fault is not None
-    assert "drive fault 0x" in status.fault
+    assert "drive fault" in status.fault
     bench.load.torque = 0.05
-    with pytest.raises(DeviceFaultError, match="drive fault 0x"):
+    with pytest.raises(DeviceFaultError, match="drive fault"):
         bench.spindle.start(SPEED_RPM)
     bench.spindle.stop()
     assert bench.spindle.wait_until_at_speed(5.0).fault == status.fault
-    assert isinstance(bench.spindle, Cia402Spindle)
     bench.spindle.reset_fault()
     bench.clock.sleep_s(0.2)
     assert bench.spindle.status().fault is None
@@ -185,11 +211,15 @@ def test_a_silent_drive_is_told_in_time(spindle_wire_bench: SpindleBench) -> Non
     bench.spindle.wait_until_at_speed(5.0)
     bench.plug.pulled = True
     before_s = bench.clock.now_s()
-    with pytest.raises(DeviceTimeoutError, match="silent"):
+    with pytest.raises(DeviceTimeoutError, match=r"silent|no reply"):
         bench.spindle.status()
-    assert bench.clock.now_s() - before_s < bench.spindle.heartbeat_s
-    bench.clock.sleep_s(bench.spindle.heartbeat_s + 0.2)
-    assert bench.load.speed_rpm == pytest.approx(0.0, abs=60.0)  # the drive heard nothing either, and stopped
+    watched_s = min(bench.spindle.heartbeat_s, WATCHED_S)
+    assert bench.clock.now_s() - before_s < watched_s
+    if bench.spindle.heartbeat_s > watched_s:
+        assert bench.load.speed_rpm == pytest.approx(SPEED_RPM, rel=0.03)  # nothing there minds: it says so
+    else:
+        bench.clock.sleep_s(watched_s + 0.2)
+        assert bench.load.speed_rpm == pytest.approx(0.0, abs=60.0)  # the drive heard nothing either, and stopped
     bench.plug.pulled = False
 
 

@@ -47,12 +47,12 @@ MANUAL: list[tuple[bytes, Message]] = [
     (b"[VER:1.1h.20190830:bench 7]\r\n", Feedback("VER", "1.1h.20190830:bench 7")),
     (b"[OPT:V,15,128]\r\n", Feedback("OPT", "V,15,128")),
     (b"[PRB:0.000,0.000,-1.000:1]\r\n", Feedback("PRB", "0.000,0.000,-1.000:1")),
-    (b"<Idle|MPos:3.000,2.000,0.000|FS:0,0>\r\n", Report("Idle", None, (3.0, 2.0, 0.0), None)),
-    (b"<Hold:0|MPos:5.000,2.000,0.000|FS:0,0>\r\n", Report("Hold", 0, (5.0, 2.0, 0.0), None)),
-    (b"<Run|MPos:-15.168,-20.000,0.004|Bf:14,128|FS:500,0>\r\n", Report("Run", None, (-15.168, -20.0, 0.004), 14)),
+    (b"<Idle|MPos:3.000,2.000,0.000|FS:0,0>\r\n", Report("Idle", None, (3.0, 2.0, 0.0), None, 0.0)),
+    (b"<Hold:0|MPos:5.000,2.000,0.000|FS:0,0>\r\n", Report("Hold", 0, (5.0, 2.0, 0.0), None, 0.0)),
+    (b"<Run|MPos:-15.168,-20.000,0.004|Bf:14,128|FS:500,0>\r\n", Report("Run", None, (-15.168, -20.0, 0.004), 14, 0.0)),
     (
         b"<Idle|MPos:0.000,0.000,0.000|Bf:100,1023|FS:0,0|Ov:100,100,100|A:|TLR:0|Unheard:of>\r\n",
-        Report("Idle", None, (0.0, 0.0, 0.0), 100),
+        Report("Idle", None, (0.0, 0.0, 0.0), 100, 0.0),
     ),
 ]
 

@@ -8,7 +8,7 @@ Danger: GRBL has no watchdog. When the host dies, the queue runs out and the mac
 process that holds ``stop_path`` may stop it sooner.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from drivers.clock import Clock
 from drivers.errors import (
@@ -35,6 +35,8 @@ MODAL_LINE = "G21G90G94"
 STOP_SCRIPT = ((protocol.HOLD, 0.2), (protocol.RESET, 0.5), (b"$J=G91G21Z1.5F900\n", 0.4))
 """Hold; a reset at standstill, which drops the queue; 1.5 mm up at 15 mm/s, and the time that takes. If it was not
 standing at the reset, its position is lost, and it locks itself and refuses to lift."""
+DRILL_OFF = ((protocol.RESET, 0.1),)
+"""Nothing but the host stops a drill on this controller: the script's reset, and one more should that get lost."""
 
 _STATES = {
     "Run": MotionState.MOVING,
@@ -87,6 +89,8 @@ class GrblController(MotionController):
         self._planner_blocks = 0
         self._floor_mm: float | None = None
         self._closed = False
+        self.stop_drill: Callable[[], None] | None = None
+        """How the drill is stopped, where one hangs on this controller."""
         try:
             self._session.reset_and_release(self._session.halts)
             self._limits = SoftLimits(self._session, origin_mm, expected_settings or {}, expected_firmware)
@@ -103,6 +107,11 @@ class GrblController(MotionController):
     def identity(self) -> str:
         """Firmware, version, and the text that the owner stored with ``$I=``."""
         return self._limits.info.identity
+
+    @property
+    def session(self) -> GrblSession:
+        """The conversation, for a drill on the same controller."""
+        return self._session
 
     @property
     def settings(self) -> Mapping[str, float]:
@@ -210,6 +219,11 @@ class GrblController(MotionController):
     def resume(self) -> None:
         """Go on after ``hold()``, once the axes stand still: 1.1h throws a resume away that comes earlier."""
         self._session.check()
+        if self._session.drill_stopped:
+            raise DeviceFaultError(
+                f"{self._session.name}: the drill was stopped within this hold, and resume() would start it; flush() "
+                "drops the queue and leaves it off"
+            )
         if not self._held and self._session.query().state != "Hold":
             return
         report = self._wait_for_standstill(2.0)
@@ -253,7 +267,8 @@ class GrblController(MotionController):
     def stop_path(self) -> StopPath | None:
         """The port, and: hold; a reset at standstill, which drops the queue and keeps the position; up."""
         descriptor = self._session.descriptor
-        return None if descriptor is None else StopPath(descriptor, STOP_SCRIPT)
+        script = STOP_SCRIPT if self.stop_drill is None else STOP_SCRIPT + DRILL_OFF
+        return None if descriptor is None else StopPath(descriptor, script)
 
     def set_floor(self, z_mm: float | None) -> None:
         """Write the travel of Z so that the controller refuses targets below, read it back; None restores it.
@@ -283,7 +298,7 @@ class GrblController(MotionController):
         self._session.tolerated_alarm = None
 
     def close(self) -> None:
-        """Bring the machine to rest, restore the floor, give the line back."""
+        """Stop the drill, bring the machine to rest, restore the floor, give the line back."""
         if self._closed:
             return
         self._closed = True
@@ -291,6 +306,8 @@ class GrblController(MotionController):
         try:
             # A fault has stopped the machine already.
             if self._session.fault is None:
+                if self.stop_drill is not None:
+                    self.stop_drill()
                 self._come_to_rest()
             if self._floor_mm is not None and not self._session.is_lost:
                 if self._session.fault is not None:
@@ -325,7 +342,8 @@ class GrblController(MotionController):
         session = self._session
         try:
             state = session.query().state
-            if state == "Alarm" or (self._status().state is MotionState.IDLE and session.upset is None):
+            idle = self._status().state is MotionState.IDLE and session.upset is None and not self._held
+            if state == "Alarm" or idle:
                 return
             self.flush(2.0)
         except (DeviceTimeoutError, DeviceFaultError, ProtocolError):

@@ -16,6 +16,8 @@ STATUS = b"?"
 HOLD = b"!"
 RESUME = b"~"
 RESET = b"\x18"
+SPINDLE_STOP = b"\x9e"
+"""A toggle, and heard in a hold only: off, and by the second one on again."""
 
 LONGEST_LINE = 512
 """Bytes without an end of line after which the stream is not GRBL's; grblHAL's longest lines stay below 256."""
@@ -90,6 +92,8 @@ class Report:
     machine_mm: Vector
     blocks_free: int | None
     """Room in the planner, None where ``$10`` does not ask for it."""
+    spindle_rpm: float | None = None
+    """The speed that the spindle's output asks for, measured where grblHAL has an encoder; None where not reported."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +113,7 @@ _FEEDBACK = re.compile(r"\[([^:\]]+)(?::(.*))?\]")
 _STARTUP = re.compile(r"\$N\d=(.*)|>(.*):(?:ok|error:\d{1,3})")
 _STATE = re.compile(r"([A-Z][a-z]+)(?::(\d{1,2}))?")
 _NUMBER = re.compile(r"-?\d{1,5}\.\d{1,4}")
+_SPEEDS = re.compile(r"\d{1,6}(?:\.\d{1,3})?(?:,-?\d{1,6}(?:\.\d{1,3})?){1,2}")
 
 
 def parse_line(line: str) -> Message:
@@ -144,6 +149,7 @@ def _parse_report(line: str) -> Report:
         raise ProtocolError(f"status report {line!r}: state {head!r} is none of {', '.join(sorted(STATES))}")
     machine_mm: Vector | None = None
     blocks_free: int | None = None
+    spindle_rpm: float | None = None
     for field in fields:
         key, _, text = field.partition(":")
         if key == "MPos":
@@ -156,6 +162,10 @@ def _parse_report(line: str) -> Report:
             if len(counts) != 2 or not all(count.isdecimal() for count in counts):
                 raise ProtocolError(f"status report {line!r}: Bf {text!r} is not two counts")
             blocks_free = int(counts[0])
+        elif key == "FS":
+            if not _SPEEDS.fullmatch(text):
+                raise ProtocolError(f"status report {line!r}: FS {text!r} is not feed and speed")
+            spindle_rpm = float(text.rpartition(",")[2])
     if machine_mm is None:
         raise ProtocolError(f"status report {line!r} has no MPos; mill needs $10 with bit 0 set")
     return Report(
@@ -163,6 +173,7 @@ def _parse_report(line: str) -> Report:
         substate=None if state[2] is None else int(state[2]),
         machine_mm=machine_mm,
         blocks_free=blocks_free,
+        spindle_rpm=spindle_rpm,
     )
 
 

@@ -45,6 +45,8 @@ class GrblSession(LatchingLine):
         self.on_report: Callable[[protocol.Report], None] = lambda _report: None
         self.upset: str | None = None
         """The queue is not what the host thinks it is. Dropping the queue, or homing, releases it."""
+        self.drill_stopped = False
+        """The drill was stopped within a hold, so that going on would start it. Dropping the queue releases it."""
         self.tolerated_alarm: int | None = None
         """An alarm that the caller brings about and deals with."""
         self.report: protocol.Report | None = None
@@ -140,6 +142,7 @@ class GrblSession(LatchingLine):
         self._unacknowledged.clear()
         self._strikes = 0
         self.upset = None
+        self.drill_stopped = False
 
     def reset_and_release(self, halts: int) -> None:
         """Reset, and forget what has latched before or because of it, and the first ``halts`` halts.
