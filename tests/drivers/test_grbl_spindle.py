@@ -104,7 +104,7 @@ def test_an_alarm_stops_the_drill_and_is_told() -> None:
 
 
 def test_closing_the_drill_leaves_the_controller_open_and_closing_the_controller_stops_the_drill() -> None:
-    motion, spindle, bench, clock, line = opened()
+    motion, spindle, bench, clock, _ = opened()
     spindle.start(SPEED_RPM)
     spindle.close()
     assert bench.machine.spindle_rpm == pytest.approx(0.0, abs=60.0)

@@ -1,4 +1,4 @@
-"""The inverter's driver against bytes written by hand from the manuals, and against frames that lost a byte or a bit."""
+"""The inverter's driver against bytes written by hand from the manuals, and frames that lost a byte or a bit."""
 
 from collections import deque
 from collections.abc import Callable, Mapping
