@@ -21,13 +21,13 @@ def test_every_built_in_backend_can_be_loaded(key: str) -> None:
 
 
 def test_an_unknown_backend_lists_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match=r"\[motion\] backend = 'tinyg' is unknown; known are 'grbl'"):
+    with pytest.raises(ConfigError, match=r"\[motion\] backend = 'tinyg' is unknown; known are 'bcap', 'grbl'"):
         load_backend("motion", "tinyg")
 
 
 def test_a_third_party_adds_one_by_an_entry_point(mocker: MockerFixture) -> None:
     add_entry_point(mocker, "motion.tinyg", "fractions:Fraction")
-    assert backend_names("motion") == ["grbl", "tinyg"]
+    assert backend_names("motion") == ["bcap", "grbl", "tinyg"]
     assert load_backend("motion", "tinyg")(1, 2) == 0.5
 
 
