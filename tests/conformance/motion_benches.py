@@ -60,11 +60,34 @@ class Axes:
         return False
 
 
+@dataclass(frozen=True)
+class Language:
+    """What the bytes of one make mean, and how it says what every make says."""
+
+    without_queries: Callable[[bytes], bytes]
+    """What was written at once, without questions that change nothing."""
+    stop: tuple[bytes, ...]
+    """What is all heard when the motion is stopped."""
+    alarm: str
+    """How a fault of the controller's own begins."""
+    position: str
+    """What a stop in motion makes of the position."""
+
+
+GRBL = Language(
+    without_queries=lambda data: data.replace(b"?", b""),
+    stop=(b"!", b"\x18"),
+    alarm="ALARM",
+    position="position lost",
+)
+
+
 @dataclass
 class Wire:
     """What reached the other end of the wire, and when, on the clock of the controller."""
 
     now_s: Callable[[], float]
+    language: Language = GRBL
     heard: list[tuple[float, bytes]] = field(default_factory=list)
 
     def hear(self, data: bytes) -> None:
@@ -72,8 +95,16 @@ class Wire:
 
     @property
     def lines(self) -> bytes:
-        """Everything but status queries."""
-        return b"".join(data for _, data in self.heard).replace(b"?", b"")
+        """Everything but questions."""
+        return b"".join(self.language.without_queries(data) for _, data in self.heard)
+
+    def stopped_s(self, after_s: float) -> float | None:
+        """When the first word of a stop was heard, at ``after_s`` or later; None before all of it was."""
+        later = [(at_s, data) for at_s, data in self.heard if at_s >= after_s]
+        whole = b"".join(data for _, data in later)
+        if not all(word in whole for word in self.language.stop):
+            return None
+        return next(at_s for at_s, data in later if self.language.stop[0] in data)
 
 
 @dataclass
@@ -87,6 +118,8 @@ class MotionBench:
     axes: Axes
     inject: Callable[[bytes], None]
     """Puts bytes on the wire that are not the driver's."""
+    reset: Callable[[], None]
+    """Somebody else resets the controller."""
     during_wait: Callable[[Callable[[], None]], None]
     """Has a second thread call something while the first one waits for the controller."""
     cut: Callable[[], None]
@@ -151,7 +184,11 @@ def in_process_bench(dialect: Dialect) -> Iterator[MotionBench]:
         lines[-1].on_read = partial(in_second_thread, action)
 
     controller = reopen()
-    bench = MotionBench(controller, clock, reopen, wire, axes, board.receive, during_wait, cut=lines[-1].close)
+
+    def reset() -> None:
+        board.receive(b"\x18")
+
+    bench = MotionBench(controller, clock, reopen, wire, axes, board.receive, reset, during_wait, lines[-1].close)
     with contextlib.closing(controller):
         yield bench
 
@@ -170,7 +207,8 @@ def pty_bench(dialect: Dialect) -> Iterator[MotionBench]:
 
         controller = reopen()
         with contextlib.closing(controller):
-            yield MotionBench(controller, clock, reopen, wire, axes, board.inject, during_wait, cut=board.close)
+            reset = partial(board.inject, b"\x18")
+            yield MotionBench(controller, clock, reopen, wire, axes, board.inject, reset, during_wait, cut=board.close)
 
 
 @contextlib.contextmanager
@@ -188,5 +226,5 @@ def rig_file_bench(rig_file: Path) -> Iterator[MotionBench]:
     controller = rig.open_motion()
     with contextlib.closing(controller), soon(0.1) as during_wait:
         yield MotionBench(
-            controller, clock, rig.open_motion, Wire(clock.now_s), Axes(), not_here, during_wait, cut=not_here
+            controller, clock, rig.open_motion, Wire(clock.now_s), Axes(), not_here, not_here, during_wait, not_here
         )
