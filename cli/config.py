@@ -41,6 +41,24 @@ class GrblMotion(Table):
     """What the firmware's version must begin with, such as "1.1h"."""
 
 
+class BcapMotion(Table):
+    """A DENSO robot: an RC8 over b-CAP (UDP)."""
+
+    backend: Literal["bcap"] = "bcap"
+    host: str
+    port: int = Field(5007, ge=1, le=65_535)
+    origin_mm: Vector
+    """Where the origin of {R} is in the robot's frame."""
+    orientation_deg: Vector
+    """RX, RY, RZ of the tool, the same in every move."""
+    travel_low_mm: Vector
+    travel_high_mm: Vector
+    """The box in {R} that targets stay in: the controller has none of its own."""
+    max_feed_mm_s: Positive = 20.0
+    reply_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
+    """How long a reply is waited for before asking again; three tries without one are an error."""
+
+
 class Cia402SpindleTable(Table):
     """A CiA 402 drive on a CAN bus."""
 
@@ -145,7 +163,7 @@ class RigConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     schema_: Literal[1] = Field(alias="schema")
     name: str
-    motion: GrblMotion | OtherBackend
+    motion: GrblMotion | BcapMotion | OtherBackend
     spindle: Cia402SpindleTable | OtherBackend
     camera: OpenCvCamera | OtherBackend
     tool: ToolTable = ToolTable()
@@ -164,7 +182,7 @@ class RigConfig(BaseModel):
 
 
 BUILT_IN: Mapping[Kind, Mapping[str, type[Table]]] = {
-    "motion": {"grbl": GrblMotion},
+    "motion": {"grbl": GrblMotion, "bcap": BcapMotion},
     "spindle": {"cia402": Cia402SpindleTable},
     "camera": {"opencv": OpenCvCamera},
 }

@@ -17,7 +17,7 @@ from drivers.errors import ConfigError
 if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.recorder import Recorder
-    from firmware_sim.bench import Dialect
+    from firmware_sim.bench import Dialect, Motion
     from firmware_sim.faults import Fault
     from firmware_sim.serve import BenchService, ServiceStatus
     from milling.eyes import CompletionReader
@@ -41,6 +41,13 @@ if TYPE_CHECKING:
     help="Firmware of the motion board.",
 )
 @click.option(
+    "--motion",
+    type=click.Choice(["grbl", "bcap"]),
+    default="grbl",
+    show_default=True,
+    help="Make of the motion controller: a GRBL board, or a DENSO robot over b-CAP.",
+)
+@click.option(
     "--fps", type=click.FloatRange(1.0, 60.0), default=20.0, show_default=True, help="Pictures per second and eye."
 )
 @click.option(
@@ -56,11 +63,12 @@ def emulate(
     faults: tuple[str, ...],
     rig_out: Path | None,
     dialect: "Dialect",
+    motion: "Motion",
     fps: float,
     truth_out: Path | None,
     until_stdin_closes: bool,
 ) -> None:
-    """Serve a virtual bench: a GRBL board and a CAN adapter on serial ports, two cameras over HTTP.
+    """Serve a virtual bench: a motion controller and a CAN adapter on their wires, two cameras over HTTP.
 
     It prints a rig file that points at them; use it from another terminal. Ctrl-C ends it.
     """
@@ -78,7 +86,8 @@ def emulate(
     drawn = specimen_for(seed, specimen)
     if sys.stderr.isatty():
         click.echo("Preparing the bench...", err=True)
-    with _stop_signals() as stopped, BenchService(Bench(drawn, dialect=dialect, faults=planted), fps=fps) as service:
+    bench = Bench(drawn, dialect=dialect, motion=motion, faults=planted)
+    with _stop_signals() as stopped, BenchService(bench, fps=fps) as service:
         name = ", ".join([f"virtual bench, seed {seed}", *([specimen.name] if specimen else []), *map(str, planted)])
         text = rig_text(service, name)
         if rig_out is None:
@@ -126,36 +135,18 @@ def recorded(recorder: "Recorder", faults: "Sequence[Fault]", clock: "Clock") ->
 
 def rig_text(service: "BenchService", name: str) -> str:
     """The rig file of a served bench."""
-    from firmware_sim.bench import (
-        FIRMWARE,
-        MAX_FEED_MM_S,
-        MAX_SPEED_RPM,
-        MECHANICAL_SETTINGS,
-        NODE_ID,
-        ORIGIN_MM,
-        PARK_MM,
-    )
+    from firmware_sim.bench import MAX_SPEED_RPM, NODE_ID, PARK_MM
     from firmware_sim.optics import HEIGHT_PX, WIDTH_PX
 
     left, right = service.camera_urls
     tool = service.bench.specimen.tool
-    settings = "\n".join(f'"{key}" = {value:g}' for key, value in MECHANICAL_SETTINGS.items())
+    motion = _robot_table(service) if service.bench.motion == "bcap" else _grbl_table(service)
     return f"""\
 # A virtual bench. It lives as long as its `mill emulate`.
 schema = 1
 name = "{name}"
 
-[motion]
-backend = "grbl"
-port = "{service.motion_port}"
-baud = 115200
-origin_mm = {_vector(ORIGIN_MM)}      # machine position of the origin of {{R}}
-max_feed_mm_s = {MAX_FEED_MM_S:g}
-firmware = "{FIRMWARE[service.bench.dialect]}"
-
-[motion.settings]                  # must read back like this
-{settings}
-
+{motion}
 [spindle]
 backend = "cia402"
 interface = "slcan"
@@ -182,6 +173,41 @@ park_mm = {_vector(PARK_MM)}        # where the drill is out of both pictures
 
 [certificate]
 required = false                   # a rig of devices needs one by `mill doctor`
+"""
+
+
+def _grbl_table(service: "BenchService") -> str:
+    from firmware_sim.bench import FIRMWARE, MAX_FEED_MM_S, MECHANICAL_SETTINGS, ORIGIN_MM
+
+    settings = "\n".join(f'"{key}" = {value:g}' for key, value in MECHANICAL_SETTINGS.items())
+    return f"""\
+[motion]
+backend = "grbl"
+port = "{service.motion_port}"
+baud = 115200
+origin_mm = {_vector(ORIGIN_MM)}      # machine position of the origin of {{R}}
+max_feed_mm_s = {MAX_FEED_MM_S:g}
+firmware = "{FIRMWARE[service.bench.dialect]}"
+
+[motion.settings]                  # must read back like this
+{settings}
+"""
+
+
+def _robot_table(service: "BenchService") -> str:
+    from firmware_sim import bench
+
+    host, _, port = service.motion_port.partition(":")
+    return f"""\
+[motion]
+backend = "bcap"
+host = "{host}"
+port = {port}
+origin_mm = {_vector(bench.ROBOT_ORIGIN_MM)}    # the origin of {{R}} in the robot's frame
+orientation_deg = {_vector(bench.ROBOT_ORIENTATION_DEG)}  # of the tool, in every move
+travel_low_mm = {_vector(bench.ROBOT_TRAVEL_LOW_MM)}  # in {{R}}; the controller has no limits of its own there
+travel_high_mm = {_vector(bench.ROBOT_TRAVEL_HIGH_MM)}
+max_feed_mm_s = {bench.MAX_FEED_MM_S:g}
 """
 
 

@@ -15,7 +15,7 @@ from typing import Any, Protocol, cast
 
 import click
 
-from cli.config import Cia402SpindleTable, GrblMotion, OpenCvCamera, OtherBackend, RigConfig, load_rig
+from cli.config import BcapMotion, Cia402SpindleTable, GrblMotion, OpenCvCamera, OtherBackend, RigConfig, load_rig
 from cli.emulate import sorted_faults
 from cli.options import BenchChoice
 from drivers.backends import load_backend
@@ -65,7 +65,7 @@ class WiredRig:
         table = self.config.motion
         if isinstance(table, OtherBackend):
             return cast(MotionController, load_backend("motion", table.backend)(_raw(table), self.clock))
-        return open_grbl(table, self.clock)
+        return open_bcap(table, self.clock) if isinstance(table, BcapMotion) else open_grbl(table, self.clock)
 
     def open_spindle(self) -> Spindle:
         """Open the spindle of the rig file."""
@@ -121,6 +121,28 @@ def open_grbl(table: GrblMotion, clock: Clock) -> MotionController:
             max_feed_mm_per_s=table.max_feed_mm_s,
             expected_settings=table.settings,
             expected_firmware=table.firmware,
+            reply_s=table.reply_s,
+        )
+    except BaseException:
+        line.close()
+        raise
+
+
+def open_bcap(table: BcapMotion, clock: Clock) -> MotionController:
+    """A DENSO robot at its address."""
+    from drivers.motion.bcap.driver import BcapController
+    from drivers.motion.interface import Travel
+    from drivers.motion.udp_line import open_udp
+
+    line = open_udp(table.host, table.port)
+    try:
+        return BcapController(
+            line,
+            clock,
+            origin_mm=table.origin_mm,
+            orientation_deg=table.orientation_deg,
+            travel=Travel(table.travel_low_mm, table.travel_high_mm),
+            max_feed_mm_per_s=table.max_feed_mm_s,
             reply_s=table.reply_s,
         )
     except BaseException:

@@ -6,19 +6,21 @@ from functools import cached_property
 from typing import Any, Final, Literal
 
 from drivers.errors import ConnectionLostError
+from firmware_sim.bcap_controller import POWER_UP_POSE, RcController
 from firmware_sim.can_wire import CanWire
 from firmware_sim.cia402_drive import Cia402Drive
 from firmware_sim.clock import TICK_S, SimClock
 from firmware_sim.faults import Fault
 from firmware_sim.grbl_board import GrblBoard
 from firmware_sim.lines import InProcessBus, InProcessLine, InProcessSource, in_process_sources
-from firmware_sim.machine import Machine
+from firmware_sim.machine import POWER_UP_TIP_MM, Machine
 from firmware_sim.microscope import EachEye, Image, Microscope, Shot
 from firmware_sim.sabotage import Sabotage
 from firmware_sim.slcan_adapter import SlcanAdapter
 from firmware_sim.specimen import Specimen, draw_specimen
 
 Dialect = Literal["gnea", "grblhal"]
+Motion = Literal["grbl", "bcap"]
 
 ORIGIN_MM: Final = (-25.0, -10.0, -20.0)
 """Where the board's machine coordinates put the origin of {R}: machine zero is at the home switches."""
@@ -39,6 +41,15 @@ _COMMISSIONING: Final[Mapping[str, float]] = {"$1": 255, "$24": 120, "$25": 1200
 """Motors that stay on at standstill (their release costs 25 ms a move, and holds nothing); homing feeds."""
 FIRMWARE: Final[Mapping[Dialect, str]] = {"gnea": "1.1h", "grblhal": "1.1f"}
 """What the version of the motion board begins with."""
+ROBOT_ORIGIN_MM: Final = (
+    POWER_UP_POSE[0] - POWER_UP_TIP_MM[0],
+    POWER_UP_POSE[1] - POWER_UP_TIP_MM[1],
+    POWER_UP_POSE[2] - POWER_UP_TIP_MM[2],
+)
+"""Where the origin of {R} is in the frame of the robot."""
+ROBOT_ORIENTATION_DEG: Final = (POWER_UP_POSE[3], POWER_UP_POSE[4], POWER_UP_POSE[5])
+ROBOT_TRAVEL_LOW_MM: Final = (-10.0, -30.0, -8.0)
+ROBOT_TRAVEL_HIGH_MM: Final = (24.0, 9.0, 19.0)
 _DIALECT_SETTINGS: Final[Mapping[Dialect, Mapping[str, float]]] = {"gnea": {"$10": 3}, "grblhal": {}}
 
 
@@ -53,15 +64,32 @@ class Bench:
         specimen: Specimen | None = None,
         *,
         dialect: Dialect = "gnea",
+        motion: Motion = "grbl",
         seed: int = 0,
         faults: Sequence[Fault] = (),
     ) -> None:
-        """A bench that was just switched on; without a specimen, one is drawn from ``seed``."""
+        """A bench that was just switched on; without a specimen, one is drawn from ``seed``.
+
+        Args:
+            specimen: what lies on it, and how the rig is built.
+            dialect: firmware of a GRBL board.
+            motion: make of the motion controller.
+            seed: of the specimen.
+            faults: what is broken.
+
+        Raises:
+            ConfigError: a fault that this make of motion controller cannot have.
+        """
         self.specimen = draw_specimen(seed) if specimen is None else specimen
         self.dialect: Dialect = dialect
         self.machine = Machine(self.specimen)
-        settings = {**MECHANICAL_SETTINGS, **_COMMISSIONING, **_DIALECT_SETTINGS[dialect]}
-        self.board = GrblBoard(self.machine, dialect=dialect, settings=settings)
+        self.motion: Motion = motion
+        self.board: GrblBoard | RcController
+        if motion == "bcap":
+            self.board = RcController(self.machine)
+        else:
+            settings = {**MECHANICAL_SETTINGS, **_COMMISSIONING, **_DIALECT_SETTINGS[dialect]}
+            self.board = GrblBoard(self.machine, dialect=dialect, settings=settings)
         self.board.commission(f"mill-bench-{self.serial_number}")
         self.drive = Cia402Drive(
             self.machine, node_id=NODE_ID, max_speed_rpm=MAX_SPEED_RPM, serial_number=self.serial_number
@@ -89,7 +117,7 @@ class Bench:
         return Microscope(self.machine)
 
     def receive(self, data: bytes) -> None:
-        """Bytes of the host on the motion port.
+        """What the host sends to the motion port: bytes, or one datagram.
 
         Raises:
             ConnectionLostError: somebody has pulled its plug.
@@ -98,7 +126,7 @@ class Bench:
         self.board.receive(data if self._sabotage is None else self._sabotage.from_host(data))
 
     def transmit(self) -> bytes:
-        """The motion port's bytes for the host since the last call.
+        """What the motion port sends to the host: the bytes since the last call, or the next datagram.
 
         Raises:
             ConnectionLostError: somebody has pulled its plug.
@@ -185,7 +213,7 @@ def open_in_process(
     fps: float = 30.0,
     render: Callable[[float], tuple[Image, Image]] | None = None,
 ) -> tuple[InProcessLine, InProcessBus, InProcessSource, InProcessSource]:
-    """The bench's four wires on a virtual clock, for the drivers: serial line, CAN bus, left and right eye.
+    """The bench's four wires on a virtual clock, for the drivers: motion line, CAN bus, left and right eye.
 
     ``render`` stands where the microscope stands.
     """

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Final, Protocol
 import cv2
 import numpy as np
 
+from drivers.errors import ConfigError
+from firmware_sim.bcap_controller import RcController
 from firmware_sim.cia402_drive import Cia402Drive
 from firmware_sim.faults import Fault
 from firmware_sim.grbl_board import GrblBoard
@@ -31,7 +33,7 @@ class Parts(Protocol):
     """What of a bench can be broken."""
 
     machine: Machine
-    board: GrblBoard
+    board: GrblBoard | RcController
     drive: Cia402Drive
 
 
@@ -39,6 +41,8 @@ class Sabotage:
     """The faults of one bench; ``advance_to`` before the boards', so that what is due has begun."""
 
     def __init__(self, parts: Parts, faults: tuple[Fault, ...], *, seed: int) -> None:
+        if alien := [str(fault) for fault in faults if not isinstance(parts.board, GrblBoard) and _is_of_grbl(fault)]:
+            raise ConfigError(f"fault {', '.join(alien)}: of a GRBL board on a serial port; this bench has a robot")
         self._parts = parts
         self._waiting = list(faults)
         self._begun: dict[str, Fault] = {}
@@ -69,7 +73,7 @@ class Sabotage:
             self._waiting.remove(fault)
             self._begun[fault.name] = fault
             if fault.name == "motion.firmware":
-                self._parts.board.reflash(fault.word)
+                _grbl(self._parts).reflash(fault.word)
             elif (begin := _AT_ONCE.get(fault.name)) is not None:
                 begin(self._parts, fault.value)
 
@@ -163,8 +167,18 @@ class Sabotage:
         return 0.0 if fault is None else fault.value
 
 
+def _is_of_grbl(fault: Fault) -> bool:
+    place, _, what = fault.name.partition(".")
+    return place in ("serial", "port") or (place == "motion" and what not in ("reset", "backlash", "scale_x"))
+
+
+def _grbl(parts: Parts) -> GrblBoard:
+    assert isinstance(parts.board, GrblBoard)
+    return parts.board
+
+
 def _lose_steps(parts: Parts, steps: float) -> None:
-    parts.machine.lost_mm[2] -= steps / parts.board.steps_per_mm[2]
+    parts.machine.lost_mm[2] -= steps / _grbl(parts).steps_per_mm[2]
 
 
 def _play(parts: Parts, play_mm: float) -> None:
@@ -196,13 +210,13 @@ def _ignore_silence(parts: Parts, _value: float) -> None:
 
 
 _AT_ONCE: Final[dict[str, Callable[[Parts, float], None]]] = {
-    "motion.alarm": lambda parts, code: parts.board.raise_alarm(round(code)),
+    "motion.alarm": lambda parts, code: _grbl(parts).raise_alarm(round(code)),
     "motion.reset": lambda parts, _: parts.board.restart(),
     "motion.backlash": _play,
     "motion.scale_x": _stretch_x,
     "motion.lost_steps": _lose_steps,
-    "motion.no_soft_limits": lambda parts, _: parts.board.change_setting(20, 0.0),
-    "motion.settings_changed": lambda parts, _: parts.board.change_setting(110, 600.0),
+    "motion.no_soft_limits": lambda parts, _: _grbl(parts).change_setting(20, 0.0),
+    "motion.settings_changed": lambda parts, _: _grbl(parts).change_setting(110, 600.0),
     "spindle.stall": _block,
     "spindle.slow": _slow,
     "spindle.overspeed": _overspeed,
