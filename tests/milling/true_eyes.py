@@ -13,9 +13,9 @@ from calib.calibration_file import Calibration, RigIdentity
 from calib.camera_fit import fit_camera_pair
 from drivers.camera.interface import Image
 from drivers.camera.stereo import StereoPair
-from drivers.motion.grbl.driver import GrblController
+from drivers.motion.interface import MotionController
 from drivers.spindle.cia402 import Cia402Spindle
-from firmware_sim.bench import MAX_FEED_MM_S, MAX_SPEED_RPM, NODE_ID, ORIGIN_MM, PARK_MM, Bench, open_in_process
+from firmware_sim.bench import MAX_SPEED_RPM, NODE_ID, PARK_MM, Bench, open_in_process
 from firmware_sim.clock import SimClock
 from firmware_sim.faults import Fault, parse_faults
 from firmware_sim.faulty_disk import FaultyDisk
@@ -25,6 +25,7 @@ from milling import loop
 from milling.job import Job
 from milling.record import RunRecorder
 from milling.standing import Standing
+from studies.virtual_runs import open_motion
 from vision.completion import CompletionReading
 from vision.disparity import match
 from vision.keypoints import Keypoint
@@ -92,7 +93,7 @@ class VirtualRig:
     calibration: Calibration
     finders: loop.Finders
     reader: TrueReader
-    motion: GrblController
+    motion: MotionController
     spindle: Cia402Spindle
     camera: StereoPair
     host_faults: Sequence[Fault] = ()
@@ -126,16 +127,19 @@ class VirtualRig:
                 all_of_them.callback(device.close)
 
 
-def virtual_rig(specimen: Specimen = THIN, *, dialect: str = "gnea", faults: Sequence[str] = ()) -> VirtualRig:
+def virtual_rig(
+    specimen: Specimen = THIN, *, dialect: str = "gnea", motion: str = "grbl", faults: Sequence[str] = ()
+) -> VirtualRig:
     """A bench that was just switched on, with faults planted."""
     bench = Bench(
         specimen,
         dialect="grblhal" if dialect == "grblhal" else "gnea",
+        motion="bcap" if motion == "bcap" else "grbl",
         faults=parse_faults(faults, place="bench"),
     )
     clock = SimClock()
     line, bus, left, right = open_in_process(bench, clock)
-    motion = GrblController(line, clock, origin_mm=ORIGIN_MM, max_feed_mm_per_s=MAX_FEED_MM_S)
+    controller = open_motion(bench, line, clock)
     spindle = Cia402Spindle(bus, clock, node_id=NODE_ID, max_speed_rpm=MAX_SPEED_RPM)
     camera = StereoPair(left, right, clock, size_px=(960, 540), max_skew_s=0.02)
     x, y, z = (specimen.tool.ball_radius_mm * value for value in specimen.tool.axis)
@@ -144,8 +148,8 @@ def virtual_rig(specimen: Specimen = THIN, *, dialect: str = "gnea", faults: Seq
     own = parse_faults(faults, place="host")
     spoiled = FaultyReader(reader, own, clock, seed=0)
     finders = loop.Finders(_Tip(bench), _Landmarks(bench), spoiled, match)
-    rig = loop.Rig(motion, spindle, camera, clock, (x, y, z), PARK_MM)
-    return VirtualRig(bench, clock, rig, calibration, finders, reader, motion, spindle, camera, own)
+    rig = loop.Rig(controller, spindle, camera, clock, (x, y, z), PARK_MM)
+    return VirtualRig(bench, clock, rig, calibration, finders, reader, controller, spindle, camera, own)
 
 
 def true_calibration(bench: Bench, center_from_tip_mm: tuple[float, float, float]) -> Calibration:
