@@ -130,7 +130,7 @@ def test_the_order_of_start_up_and_shut_down(cell: Cell) -> None:
     read = ("value", "CurPos")
     assert [word for word, _ in groupby(word for word in spoken(cell.network.asked) if word not in read)] == [
         *("start", "connect", "variable", "arm"),
-        *("ClearError", "TakeArm", "Motor", "ExtSpeed"),
+        *("slvChangeMode", "ClearError", "TakeArm", "Motor", "ExtSpeed"),
         *("slvChangeMode", "slvMove", "slvChangeMode"),
         *("Motor", "GiveArm", "release the arm", "release a variable", "disconnect", "stop"),
     ]
@@ -237,6 +237,19 @@ def test_any_reply_without_one_of_its_bytes_is_asked_for_again(cell: Cell) -> No
 
         cell.network.back = back
         assert cell.robot.status().position_mm == START_MM
+
+
+def test_slave_mode_whose_reply_was_lost_is_left_by_homing(cell: Cell) -> None:
+    cell.robot.home()
+    asked = len(cell.network.asked)
+    cell.network.back = lambda data: b"" if len(cell.network.asked) > asked + 1 else data
+    with pytest.raises(DeviceError, match="no reply to 3 tries"):
+        cell.robot.start_move((20.0, 9.0, 19.0), feed_mm_per_s=10.0)
+    assert cell.board.state == "Run"
+    cell.network.back = lambda data: data
+    cell.robot.home()
+    cell.robot.start_move((20.0, 9.0, 19.0), feed_mm_per_s=10.0)
+    assert cell.robot.wait_until_idle(3.0).position_mm == (20.0, 9.0, 19.0)
 
 
 def test_a_position_that_is_no_number_is_refused(cell: Cell) -> None:

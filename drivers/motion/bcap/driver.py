@@ -14,7 +14,7 @@ is a latched fault. It is also what stops the arm, within 24 ms, when the host d
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from drivers.clock import Clock
 from drivers.errors import (
@@ -125,7 +125,8 @@ class BcapController(MotionController):
             self._come_to_rest()
         if session.handles_lost:
             self._robot.connect()
-        elif feeder.is_on:
+        with suppress(DeviceFaultError):
+            # Also where it should be off: the reply that said that it is on may be what was lost.
             feeder.leave_at_once()
         feeder.forget()
         session.release(halts)
