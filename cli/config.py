@@ -59,6 +59,24 @@ class TinyGMotion(Table):
     """What the firmware's build must begin with, such as "101."."""
 
 
+class BcapMotion(Table):
+    """A DENSO robot: an RC8 over b-CAP (UDP)."""
+
+    backend: Literal["bcap"] = "bcap"
+    host: str
+    port: int = Field(5007, ge=1, le=65_535)
+    origin_mm: Vector
+    """Where the origin of {R} is in the robot's frame."""
+    orientation_deg: Vector
+    """RX, RY, RZ of the tool, the same in every move."""
+    travel_low_mm: Vector
+    travel_high_mm: Vector
+    """The box in {R} that targets stay in: the controller has none of its own."""
+    max_feed_mm_s: Positive = 20.0
+    reply_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
+    """How long a reply is waited for before asking again; three tries without one are an error."""
+
+
 class SpindleTable(Table):
     """What every drill is told."""
 
@@ -199,7 +217,7 @@ class RigConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     schema_: Literal[1] = Field(alias="schema")
     name: str
-    motion: GrblMotion | TinyGMotion | OtherBackend
+    motion: GrblMotion | TinyGMotion | BcapMotion | OtherBackend
     spindle: Cia402SpindleTable | ModbusSpindleTable | GrblSpindleTable | OtherBackend
     camera: OpenCvCamera | OtherBackend
     tool: ToolTable = ToolTable()
@@ -225,7 +243,7 @@ class RigConfig(BaseModel):
 
 
 BUILT_IN: Mapping[Kind, Mapping[str, type[Table]]] = {
-    "motion": {"grbl": GrblMotion, "tinyg": TinyGMotion},
+    "motion": {"grbl": GrblMotion, "tinyg": TinyGMotion, "bcap": BcapMotion},
     "spindle": {"cia402": Cia402SpindleTable, "modbus": ModbusSpindleTable, "grbl": GrblSpindleTable},
     "camera": {"opencv": OpenCvCamera},
 }

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--motion",
-    type=click.Choice(["grbl", "tinyg"]),
+    type=click.Choice(["grbl", "tinyg", "bcap"]),
     default="grbl",
     show_default=True,
-    help="Make of the motion board.",
+    help="Make of the motion controller: a GRBL or a g2core board, or a DENSO robot over b-CAP.",
 )
 @click.option(
     "--dialect",
@@ -76,7 +76,7 @@ def emulate(
     truth_out: Path | None,
     until_stdin_closes: bool,
 ) -> None:
-    """Serve a virtual bench: a motion board and a CAN adapter on serial ports, two cameras over HTTP.
+    """Serve a virtual bench: a motion controller and a spindle on their wires, two cameras over HTTP.
 
     It prints a rig file that points at them; use it from another terminal. Ctrl-C ends it.
     """
@@ -145,28 +145,18 @@ def recorded(recorder: "Recorder", faults: "Sequence[Fault]", clock: "Clock") ->
 
 def rig_text(service: "BenchService", name: str) -> str:
     """The rig file of a served bench."""
-    from firmware_sim.bench import MAX_FEED_MM_S, ORIGIN_MM, PARK_MM
+    from firmware_sim.bench import PARK_MM
     from firmware_sim.optics import HEIGHT_PX, WIDTH_PX
 
     left, right = service.camera_urls
     tool = service.bench.specimen.tool
-    settings = "\n".join(f'"{key}" = {value:g}' for key, value in service.bench.motion_settings.items())
+    motion = _robot_table(service) if service.bench.motion == "bcap" else _serial_table(service)
     return f"""\
 # A virtual bench. It lives as long as its `mill emulate`.
 schema = 1
 name = "{name}"
 
-[motion]
-backend = "{service.bench.motion}"
-port = "{service.motion_port}"
-baud = 115200
-origin_mm = {_vector(ORIGIN_MM)}      # machine position of the origin of {{R}}
-max_feed_mm_s = {MAX_FEED_MM_S:g}
-firmware = "{service.bench.motion_firmware}"
-
-[motion.settings]                  # must read back like this
-{settings}
-
+{motion}
 {_spindle_text(service)}
 
 [camera]
@@ -186,6 +176,41 @@ park_mm = {_vector(PARK_MM)}        # where the drill is out of both pictures
 
 [certificate]
 required = false                   # a rig of devices needs one by `mill doctor`
+"""
+
+
+def _serial_table(service: "BenchService") -> str:
+    from firmware_sim.bench import MAX_FEED_MM_S, ORIGIN_MM
+
+    settings = "\n".join(f'"{key}" = {value:g}' for key, value in service.bench.motion_settings.items())
+    return f"""\
+[motion]
+backend = "{service.bench.motion}"
+port = "{service.motion_port}"
+baud = 115200
+origin_mm = {_vector(ORIGIN_MM)}      # machine position of the origin of {{R}}
+max_feed_mm_s = {MAX_FEED_MM_S:g}
+firmware = "{service.bench.motion_firmware}"
+
+[motion.settings]                  # must read back like this
+{settings}
+"""
+
+
+def _robot_table(service: "BenchService") -> str:
+    from firmware_sim import bench
+
+    host, _, port = service.motion_port.partition(":")
+    return f"""\
+[motion]
+backend = "bcap"
+host = "{host}"
+port = {port}
+origin_mm = {_vector(bench.ROBOT_ORIGIN_MM)}    # the origin of {{R}} in the robot's frame
+orientation_deg = {_vector(bench.ROBOT_ORIENTATION_DEG)}  # of the tool, in every move
+travel_low_mm = {_vector(bench.ROBOT_TRAVEL_LOW_MM)}  # in {{R}}; the controller has no limits of its own there
+travel_high_mm = {_vector(bench.ROBOT_TRAVEL_HIGH_MM)}
+max_feed_mm_s = {bench.MAX_FEED_MM_S:g}
 """
 
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import click
 
 from cli.config import (
+    BcapMotion,
     Cia402SpindleTable,
     GrblMotion,
     GrblSpindleTable,
@@ -101,6 +102,8 @@ class WiredRig:
             return cast(MotionController, load_backend("motion", table.backend)(_raw(table), self.clock))
         if isinstance(table, TinyGMotion):
             return open_tinyg(table, self.clock, self.trace)
+        if isinstance(table, BcapMotion):
+            return open_bcap(table, self.clock)
         self._controller = open_grbl(table, self.clock, self.trace)
         return self._controller
 
@@ -217,6 +220,28 @@ def open_tinyg(table: TinyGMotion, clock: Clock, trace: Trace | None = None) -> 
             max_feed_mm_per_s=table.max_feed_mm_s,
             expected_settings=table.settings,
             expected_firmware=table.firmware,
+            reply_s=table.reply_s,
+        )
+    except BaseException:
+        line.close()
+        raise
+
+
+def open_bcap(table: BcapMotion, clock: Clock) -> MotionController:
+    """A DENSO robot at its address."""
+    from drivers.motion.bcap.driver import BcapController
+    from drivers.motion.interface import Travel
+    from drivers.motion.udp_line import open_udp
+
+    line = open_udp(table.host, table.port)
+    try:
+        return BcapController(
+            line,
+            clock,
+            origin_mm=table.origin_mm,
+            orientation_deg=table.orientation_deg,
+            travel=Travel(table.travel_low_mm, table.travel_high_mm),
+            max_feed_mm_per_s=table.max_feed_mm_s,
             reply_s=table.reply_s,
         )
     except BaseException:

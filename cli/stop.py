@@ -15,7 +15,7 @@ from cli.options import BenchChoice, rig_option
 from cli.rig import Rig, rig_for
 from drivers.clock import Clock
 from drivers.errors import DeviceError, MillError
-from drivers.lock import can_device, owner_of
+from drivers.lock import can_device, owner_of, udp_device
 
 LIFT_S = 2.0
 """A run lifts the drill and stops the spindle within a second of being asked."""
@@ -69,6 +69,8 @@ def _stop_spindle(bench: Rig) -> None:
 def _lock_names(config: RigConfig) -> dict[str, str | None]:
     """What the lock of each device is called: a port, or a network interface; None where a third party knows."""
     motion, spindle = config.motion.model_dump(), config.spindle.model_dump()
+    if motion["backend"] == "bcap":
+        motion["port"] = udp_device(motion["host"], motion["port"])
     if spindle.get("interface") == "socketcan":
         spindle["channel"] = can_device(spindle["channel"])
     tables = {"motion": motion, "spindle": spindle}

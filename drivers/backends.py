@@ -16,6 +16,7 @@ Kind = Literal["motion", "spindle", "camera"]
 
 ENTRY_POINT_GROUP = "mill.drivers"
 BUILT_IN: dict[str, str] = {
+    "motion.bcap": "drivers.motion.bcap.driver:BcapController",
     "motion.grbl": "drivers.motion.grbl.driver:GrblController",
     "motion.tinyg": "drivers.motion.tinyg.driver:TinyGController",
     "spindle.cia402": "drivers.spindle.cia402:Cia402Spindle",

@@ -64,6 +64,11 @@ def can_device(interface: str) -> str:
     return f"/sys/class/net/{interface}"
 
 
+def udp_device(host: str, port: int) -> str:
+    """What the lock of a device on the network, which has no device node, is called."""
+    return f"/net/udp/{host}:{port}"
+
+
 def owner_of(device: str) -> str | None:
     """Who holds the device, "pid 123 (mill run)", or None; takes and changes nothing."""
     path = lock_path(device)

@@ -7,13 +7,14 @@ from typing import Any, Final, Literal
 
 from drivers.errors import ConfigError, ConnectionLostError
 from firmware_sim import tinyg_bench
+from firmware_sim.bcap_controller import POWER_UP_POSE, RcController
 from firmware_sim.can_wire import CanWire
 from firmware_sim.cia402_drive import Cia402Drive
 from firmware_sim.clock import TICK_S, SimClock
 from firmware_sim.faults import Fault
 from firmware_sim.grbl_board import GrblBoard
 from firmware_sim.lines import InProcessBus, InProcessLine, InProcessSource, in_process_sources
-from firmware_sim.machine import Machine
+from firmware_sim.machine import POWER_UP_TIP_MM, Machine
 from firmware_sim.microscope import EachEye, Image, Microscope, Shot
 from firmware_sim.modbus_drive import ModbusDrive
 from firmware_sim.sabotage import Sabotage
@@ -23,7 +24,7 @@ from firmware_sim.spindle_motor import SpindleMotor
 from firmware_sim.tinyg_board import TinyGBoard
 
 Dialect = Literal["gnea", "grblhal"]
-MotionMake = Literal["grbl", "tinyg"]
+MotionMake = Literal["grbl", "tinyg", "bcap"]
 SpindleMake = Literal["cia402", "modbus", "grbl"]
 
 ORIGIN_MM: Final = (-25.0, -10.0, -20.0)
@@ -45,6 +46,15 @@ _COMMISSIONING: Final[Mapping[str, float]] = {"$1": 255, "$24": 120, "$25": 1200
 """Motors that stay on at standstill (their release costs 25 ms a move, and holds nothing); homing feeds."""
 FIRMWARE: Final[Mapping[Dialect, str]] = {"gnea": "1.1h", "grblhal": "1.1f"}
 """What the version of the motion board begins with."""
+ROBOT_ORIGIN_MM: Final = (
+    POWER_UP_POSE[0] - POWER_UP_TIP_MM[0],
+    POWER_UP_POSE[1] - POWER_UP_TIP_MM[1],
+    POWER_UP_POSE[2] - POWER_UP_TIP_MM[2],
+)
+"""Where the origin of {R} is in the frame of the robot."""
+ROBOT_ORIENTATION_DEG: Final = (POWER_UP_POSE[3], POWER_UP_POSE[4], POWER_UP_POSE[5])
+ROBOT_TRAVEL_LOW_MM: Final = (-10.0, -30.0, -8.0)
+ROBOT_TRAVEL_HIGH_MM: Final = (24.0, 9.0, 19.0)
 _DIALECT_SETTINGS: Final[Mapping[Dialect, Mapping[str, float]]] = {"gnea": {"$10": 3}, "grblhal": {}}
 
 
@@ -67,6 +77,9 @@ class Bench:
         """A bench that was just switched on; without a specimen, one is drawn from ``seed``.
 
         ``dialect`` is the firmware of a GRBL board, and of no other.
+
+        Raises:
+            ConfigError: a fault or a spindle that this make of motion controller cannot have.
         """
         self.specimen = draw_specimen(seed) if specimen is None else specimen
         self.dialect: Dialect = dialect
@@ -90,9 +103,11 @@ class Bench:
         if faults:
             self.plant(faults)
 
-    def _motion_board(self) -> GrblBoard | TinyGBoard:
+    def _motion_board(self) -> GrblBoard | TinyGBoard | RcController:
         if self.motion == "tinyg":
             return tinyg_bench.new_board(self.machine)
+        if self.motion == "bcap":
+            return RcController(self.machine)
         settings = {**MECHANICAL_SETTINGS, **_COMMISSIONING, **_DIALECT_SETTINGS[self.dialect]}
         if self.spindle == "grbl":
             settings |= {"$30": MAX_SPEED_RPM, "$31": 0, "$32": 0}
@@ -101,12 +116,12 @@ class Bench:
     @property
     def motion_settings(self) -> Mapping[str, float]:
         """What a host may expect to read back from the motion board."""
-        return tinyg_bench.MECHANICAL_SETTINGS if self.motion == "tinyg" else MECHANICAL_SETTINGS
+        return {"grbl": MECHANICAL_SETTINGS, "tinyg": tinyg_bench.MECHANICAL_SETTINGS, "bcap": {}}[self.motion]
 
     @property
     def motion_firmware(self) -> str:
         """What the version of the motion board begins with."""
-        return tinyg_bench.FIRMWARE if self.motion == "tinyg" else FIRMWARE[self.dialect]
+        return {"grbl": FIRMWARE[self.dialect], "tinyg": tinyg_bench.FIRMWARE, "bcap": ""}[self.motion]
 
     @property
     def serial_number(self) -> int:
@@ -149,7 +164,7 @@ class Bench:
         return Microscope(self.machine)
 
     def receive(self, data: bytes) -> None:
-        """Bytes of the host on the motion port.
+        """What the host sends to the motion port: bytes, or one datagram.
 
         Raises:
             ConnectionLostError: somebody has pulled its plug.
@@ -158,7 +173,7 @@ class Bench:
         self.board.receive(data if self._sabotage is None else self._sabotage.from_host(data))
 
     def transmit(self) -> bytes:
-        """The motion port's bytes for the host since the last call.
+        """What the motion port sends to the host: the bytes since the last call, or the next datagram.
 
         Raises:
             ConnectionLostError: somebody has pulled its plug.
@@ -249,7 +264,7 @@ def open_in_process(
     fps: float = 30.0,
     render: Callable[[float], tuple[Image, Image]] | None = None,
 ) -> tuple[InProcessLine, InProcessBus, InProcessSource, InProcessSource]:
-    """The bench's four wires on a virtual clock, for the drivers: serial line, CAN bus, left and right eye.
+    """The bench's four wires on a virtual clock, for the drivers: motion line, CAN bus, left and right eye.
 
     ``render`` stands where the microscope stands.
     """

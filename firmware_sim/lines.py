@@ -18,18 +18,18 @@ from firmware_sim.clock import SimClock
 if TYPE_CHECKING:
     from firmware_sim.microscope import Shot
 
-_SERIAL_STEP_S = 0.001
+_MOTION_STEP_S = 0.001
 _CAN_STEP_S = 0.0005
 
 
-class SerialBoard(Protocol):
-    """A board with a serial port; somebody else advances its time."""
+class MotionBoard(Protocol):
+    """A board with a serial port, or one that takes datagrams; somebody else advances its time."""
 
     def receive(self, data: bytes) -> None:
-        """Bytes from the host."""
+        """Bytes from the host, or one datagram."""
 
     def transmit(self) -> bytes:
-        """The bytes sent to the host since the last call."""
+        """The bytes sent to the host since the last call, or the next datagram."""
 
 
 Shutter = Callable[[float], "Shot | None"]
@@ -37,12 +37,12 @@ Shutter = Callable[[float], "Shot | None"]
 
 
 class InProcessLine:
-    """A ``drivers.motion.transport.SerialLine`` straight into a board.
+    """A ``SerialLine`` or a ``DatagramLine`` of ``drivers.motion.transport`` straight into a board.
 
     The board must be advanced by the same clock (``clock.attach``), by its bench or by the caller.
     """
 
-    def __init__(self, board: SerialBoard, clock: SimClock, *, name: str = "in-process:motion") -> None:
+    def __init__(self, board: MotionBoard, clock: SimClock, *, name: str = "in-process:motion") -> None:
         self._board = board
         self._clock = clock
         self._name = name
@@ -59,13 +59,13 @@ class InProcessLine:
         return None
 
     def write(self, data: bytes) -> None:
-        """Put bytes on the wire at the present virtual time; takes no virtual time of its own."""
+        """Put bytes, or one datagram, on the wire at the present virtual time; takes no virtual time of its own."""
         self._require_open()
         with self._clock.lock:
             self._board.receive(data)
 
     def read(self, timeout_s: float) -> bytes:
-        """Whatever has arrived, letting up to ``timeout_s`` pass for the first byte; zero lets none pass."""
+        """What has arrived, or one datagram, letting up to ``timeout_s`` pass for it; zero lets none pass."""
         self._require_open()
         deadline_s = self._clock.now_s() + timeout_s
         while True:
@@ -74,7 +74,7 @@ class InProcessLine:
             remaining_s = deadline_s - self._clock.now_s()
             if data or remaining_s <= 0:
                 return data
-            self._clock.sleep_s(min(_SERIAL_STEP_S, remaining_s))
+            self._clock.sleep_s(min(_MOTION_STEP_S, remaining_s))
 
     def close(self) -> None:
         """Give the line back; a second call does nothing."""

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Final, Protocol
 import cv2
 import numpy as np
 
+from drivers.errors import ConfigError
+from firmware_sim.bcap_controller import RcController
 from firmware_sim.cia402_drive import Cia402Drive
 from firmware_sim.faults import Fault
 from firmware_sim.grbl_board import GrblBoard
@@ -34,7 +36,7 @@ class Parts(Protocol):
     """What of a bench can be broken."""
 
     machine: Machine
-    board: GrblBoard | TinyGBoard
+    board: GrblBoard | TinyGBoard | RcController
 
     @property
     def spindle_drive(self) -> Cia402Drive | ModbusDrive | SpindleMotor:
@@ -45,6 +47,8 @@ class Sabotage:
     """The faults of one bench; ``advance_to`` before the boards', so that what is due has begun."""
 
     def __init__(self, parts: Parts, faults: tuple[Fault, ...], *, seed: int) -> None:
+        if alien := [str(fault) for fault in faults if isinstance(parts.board, RcController) and _is_of_a_board(fault)]:
+            raise ConfigError(f"fault {', '.join(alien)}: of a board on a serial port; this bench has a robot")
         self._parts = parts
         self._waiting = list(faults)
         self._begun: dict[str, Fault] = {}
@@ -75,7 +79,7 @@ class Sabotage:
             self._waiting.remove(fault)
             self._begun[fault.name] = fault
             if fault.name == "motion.firmware":
-                self._parts.board.reflash(fault.word)
+                _board(self._parts).reflash(fault.word)
             elif (begin := _AT_ONCE.get(fault.name)) is not None:
                 begin(self._parts, fault.value)
 
@@ -169,8 +173,18 @@ class Sabotage:
         return 0.0 if fault is None else fault.value
 
 
+def _is_of_a_board(fault: Fault) -> bool:
+    place, _, what = fault.name.partition(".")
+    return place in ("serial", "port") or (place == "motion" and what not in ("reset", "backlash", "scale_x"))
+
+
+def _board(parts: Parts) -> GrblBoard | TinyGBoard:
+    assert not isinstance(parts.board, RcController)
+    return parts.board
+
+
 def _lose_steps(parts: Parts, steps: float) -> None:
-    parts.machine.lost_mm[2] -= steps / parts.board.steps_per_mm[2]
+    parts.machine.lost_mm[2] -= steps / _board(parts).steps_per_mm[2]
 
 
 def _play(parts: Parts, play_mm: float) -> None:
@@ -202,13 +216,13 @@ def _ignore_silence(parts: Parts, _value: float) -> None:
 
 
 _AT_ONCE: Final[dict[str, Callable[[Parts, float], None]]] = {
-    "motion.alarm": lambda parts, code: parts.board.raise_alarm(round(code)),
+    "motion.alarm": lambda parts, code: _board(parts).raise_alarm(round(code)),
     "motion.reset": lambda parts, _: parts.board.restart(),
     "motion.backlash": _play,
     "motion.scale_x": _stretch_x,
     "motion.lost_steps": _lose_steps,
-    "motion.no_soft_limits": lambda parts, _: parts.board.turn_soft_limits_off(),
-    "motion.settings_changed": lambda parts, _: parts.board.slow_x_down(),
+    "motion.no_soft_limits": lambda parts, _: _board(parts).turn_soft_limits_off(),
+    "motion.settings_changed": lambda parts, _: _board(parts).slow_x_down(),
     "spindle.stall": _block,
     "spindle.slow": _slow,
     "spindle.overspeed": _overspeed,

@@ -1,4 +1,4 @@
-"""One bench in real time, on wires that other processes can open: two ptys and two camera streams.
+"""One bench in real time, on wires that other processes can open: two ptys (or a UDP port and one), two camera streams.
 
 The boards run in the thread that calls ``run``: every millisecond it takes what the hosts wrote, brings the bench to
 the present and sends what the boards answer. Pictures are drawn in threads of their own, in compiled code that does
@@ -31,6 +31,7 @@ from firmware_sim.microscope import Microscope
 from firmware_sim.mjpeg_camera import MjpegCameras
 from firmware_sim.ptys import SerialPty
 from firmware_sim.specimen import Specimen
+from firmware_sim.udp_port import UdpPort
 
 POLL_S = 0.001
 CATCH_UP_S = 0.01
@@ -67,9 +68,8 @@ class BenchService:
         for picture in bench.microscope.render(bench.now_s):
             _jpeg(picture)
         bench.truth()
-        self._motion = SerialPty()
-        if bench.port_held:
-            self._motion.occupy()
+        self._motion: SerialPty | UdpPort = UdpPort() if bench.motion == "bcap" else SerialPty()
+        self._occupy()
         self._spindle = SerialPty()
         self._cameras = MjpegCameras(serial_number=bench.serial_number)
         self._ending = threading.Event()
@@ -77,7 +77,7 @@ class BenchService:
 
     @property
     def motion_port(self) -> str:
-        """Path of the GRBL board's serial port."""
+        """Path of the motion board's serial port, or host and port of the robot's controller."""
         return self._motion.path
 
     @property
@@ -155,15 +155,21 @@ class BenchService:
                 started_s += lag_s - LONGEST_LAG_S
                 self.skipped_s += lag_s - LONGEST_LAG_S
             bench.advance_to(min(clock.now_s() - started_s, bench.now_s + CATCH_UP_S))
-            if bench.port_held and not self._motion.closed:
-                self._motion.occupy()
+            self._occupy()
             if not bench.unplugged:
-                self._motion.write(bench.transmit())
+                # Also where there is nothing new: something may still wait for a host that reads slowly.
+                self._motion.write(said := bench.transmit())
+                while said:
+                    self._motion.write(said := bench.transmit())
             if drive is not None:
                 self._spindle.write(drive.transmit())
             if on_status is not None and clock.now_s() >= status_at_s:
                 status_at_s = clock.now_s() + STATUS_PERIOD_S
                 on_status(self._status())
+
+    def _occupy(self) -> None:
+        if self.bench.port_held and isinstance(self._motion, SerialPty) and not self._motion.closed:
+            self._motion.occupy()
 
     def _status(self) -> ServiceStatus:
         machine = self.bench.machine

@@ -21,15 +21,24 @@ from calib import procedure
 from calib.calibration_file import Calibration
 from drivers.camera.stereo import StereoPair
 from drivers.device import closed_in_the_end
+from drivers.motion.bcap.driver import BcapController
 from drivers.motion.grbl.driver import GrblController
-from drivers.motion.interface import MotionController
+from drivers.motion.interface import MotionController, Travel
 from drivers.motion.tinyg.driver import TinyGController
+from drivers.motion.transport import SerialLine
 from drivers.spindle.cia402 import Cia402Spindle
-from firmware_sim.bench import ORIGIN_MM, Bench, open_in_process
+from firmware_sim.bench import (
+    ORIGIN_MM,
+    ROBOT_ORIENTATION_DEG,
+    ROBOT_ORIGIN_MM,
+    ROBOT_TRAVEL_HIGH_MM,
+    ROBOT_TRAVEL_LOW_MM,
+    Bench,
+    open_in_process,
+)
 from firmware_sim.clock import SimClock
 from firmware_sim.faults import Fault
 from firmware_sim.faulty_disk import FaultyDisk
-from firmware_sim.lines import InProcessLine
 from firmware_sim.microscope import Image
 from firmware_sim.specimen import draw_specimen
 from milling import loop
@@ -97,24 +106,36 @@ def opened(
     x, y, z = (bench.specimen.tool.ball_radius_mm * along for along in bench.specimen.tool.axis)
     closed = partial(closed_in_the_end, told=lambda _: None)
     with (
-        closed(motion_of(bench, line, clock)) as motion,
+        closed(open_motion(bench, line, clock)) as motion,
         closed(Cia402Spindle(bus, clock, node_id=1, max_speed_rpm=MAX_SPEED_RPM)) as spindle,
         closed(StereoPair(left, right, clock, size_px=SIZE_PX, max_skew_s=MAX_SKEW_S)) as camera,
     ):
         yield loop.Rig(motion, spindle, camera, clock, (x, y, z), PARK_MM)
 
 
-def motion_of(bench: Bench, line: InProcessLine, clock: SimClock) -> MotionController:
-    """The controller of the bench's motion board."""
-    make = TinyGController if bench.motion == "tinyg" else GrblController
-    return make(
+def open_motion(bench: Bench, line: SerialLine, clock: SimClock) -> MotionController:
+    """Its motion controller, at the end of an in-process wire."""
+    if bench.motion != "bcap":
+        make = TinyGController if bench.motion == "tinyg" else GrblController
+        return make(
+            line,
+            clock,
+            origin_mm=ORIGIN_MM,
+            max_feed_mm_per_s=MAX_FEED_MM_S,
+            expected_settings=bench.motion_settings,
+            expected_firmware=bench.motion_firmware,
+        )
+    robot = BcapController(
         line,
         clock,
-        origin_mm=ORIGIN_MM,
+        origin_mm=ROBOT_ORIGIN_MM,
+        orientation_deg=ROBOT_ORIENTATION_DEG,
+        travel=Travel(ROBOT_TRAVEL_LOW_MM, ROBOT_TRAVEL_HIGH_MM),
         max_feed_mm_per_s=MAX_FEED_MM_S,
-        expected_settings=bench.motion_settings,
-        expected_firmware=bench.motion_firmware,
     )
+    # Whatever the loop waits for, the robot wants a set-point every 8 ms.
+    clock.attach(lambda _time_s: robot.feed())
+    return robot
 
 
 def calibrated(rig: loop.Rig, eyes: loop.Finders) -> Calibration:

@@ -1,4 +1,4 @@
-"""A serial line as the motion drivers see it."""
+"""The wires as the motion drivers see them: bytes in order, or datagrams."""
 
 from typing import Protocol
 
@@ -26,6 +26,31 @@ class SerialLine(Protocol):
 
         Raises:
             ConnectionLostError: the other side is gone.
+        """
+
+    def close(self) -> None:
+        """Give the line back; a second call does nothing."""
+
+
+class DatagramLine(Protocol):
+    """Whole datagrams, which may get lost, doubled or overtaken. One reader; writers from any thread."""
+
+    @property
+    def name(self) -> str:
+        """The address or name that error messages show."""
+
+    def write(self, data: bytes) -> None:
+        """Send ``data`` as one datagram; never waits behind a reader.
+
+        Raises:
+            ConnectionLostError: nobody is there.
+        """
+
+    def read(self, timeout_s: float) -> bytes:
+        """One datagram, waiting up to ``timeout_s`` for it; b"" when none came.
+
+        Raises:
+            ConnectionLostError: nobody is there.
         """
 
     def close(self) -> None:

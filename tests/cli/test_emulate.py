@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from served_bench import MILL, ServedBench, served_bench
 
-from cli.config import GrblMotion, OpenCvCamera, TinyGMotion, load_rig
-from cli.rig import WiredRig
+from cli.config import BcapMotion, GrblMotion, OpenCvCamera, TinyGMotion, load_rig
+from cli.rig import WiredRig, open_bcap
 from drivers.clock import SystemClock
+from drivers.errors import DeviceFaultError
 
 
 @pytest.fixture
@@ -44,6 +45,22 @@ def test_a_g2core_board_is_opened_by_its_rig_file(tmp_path: Path) -> None:
         with WiredRig(rig, SystemClock()).open_motion() as motion:
             assert motion.identity.startswith("g2core 101.03")
             assert motion.travel.low_mm == (-10.0, -30.0, -8.0)
+
+
+def test_a_robot_is_served_over_udp(tmp_path: Path) -> None:
+    with served_bench(tmp_path, ["--seed", "4", "--motion", "bcap"]) as bench:
+        rig = load_rig(bench.rig_file)
+        assert isinstance(rig.motion, BcapMotion)
+        with open_bcap(rig.motion, SystemClock()) as robot:
+            assert "mill-bench-" in robot.identity
+            robot.home()
+            x, y, z = robot.status().position_mm
+            robot.start_move((x - 0.5, y, z), feed_mm_per_s=5.0)
+            try:
+                assert robot.wait_until_idle(5.0).position_mm == (x - 0.5, y, z)
+            except DeviceFaultError as error:
+                # A machine that is busy elsewhere may be late by more than the robot's buffer is deep.
+                assert "slave mode" in str(error)  # noqa: PT017
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

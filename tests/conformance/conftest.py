@@ -1,8 +1,9 @@
 """Conformance: one set of promises, every implementation.
 
 A test asks for the fixture ``motion_bench`` (any controller, the rig's own with ``--rig FILE``) or
-``motion_wire_bench`` (emulated ones, whose wire can be looked at and cut). To add an implementation, put a context
-manager that yields a bench into the table of its fixture; to add a kind of device, add a table.
+``motion_wire_bench`` (emulated ones, whose wire can be looked at and cut), or ``motion_soft_limit_bench`` (those whose
+firmware itself keeps a floor). To add an implementation, put a context manager that yields a bench into the table of
+its fixture; to add a kind of device, add a table.
 """
 
 from collections.abc import Callable, Iterator
@@ -12,11 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bcap_benches import in_process_bcap_bench, udp_bcap_bench
 from motion_benches import in_process_bench, pty_bench, rig_file_bench
 
 Implementation = Callable[[], AbstractContextManager[Any]]
 
-EMULATED_MOTION: dict[str, Implementation] = {
+GRBL: dict[str, Implementation] = {
     "in-process-gnea": partial(in_process_bench, "gnea"),
     "in-process-grblhal": partial(in_process_bench, "grblhal"),
     "in-process-tinyg": partial(in_process_bench, "tinyg"),
@@ -24,10 +26,13 @@ EMULATED_MOTION: dict[str, Implementation] = {
     "pty-grblhal": partial(pty_bench, "grblhal"),
     "pty-tinyg": partial(pty_bench, "tinyg"),
 }
+BCAP: dict[str, Implementation] = {"in-process-bcap": in_process_bcap_bench, "udp-bcap": udp_bcap_bench}
+EMULATED_MOTION = GRBL | BCAP
 
 IMPLEMENTATIONS: dict[str, dict[str, Implementation]] = {
     "motion_bench": EMULATED_MOTION,
     "motion_wire_bench": EMULATED_MOTION,
+    "motion_soft_limit_bench": GRBL,
 }
 """By fixture."""
 
@@ -53,5 +58,11 @@ def motion_bench(request: pytest.FixtureRequest) -> Iterator[Any]:
 
 @pytest.fixture
 def motion_wire_bench(request: pytest.FixtureRequest) -> Iterator[Any]:
+    with request.param() as bench:
+        yield bench
+
+
+@pytest.fixture
+def motion_soft_limit_bench(request: pytest.FixtureRequest) -> Iterator[Any]:
     with request.param() as bench:
         yield bench

@@ -69,11 +69,41 @@ class Axes:
         return False
 
 
+@dataclass(frozen=True)
+class Language:
+    """What the bytes of one make mean, and how it says what every make says."""
+
+    without_queries: Callable[[bytes], bytes]
+    """What was written at once, without questions that change nothing."""
+    stop: tuple[bytes, ...]
+    """What is all heard when the motion is stopped."""
+    alarm: str
+    """How a fault of the controller's own begins."""
+    position: str
+    """What a stop in motion makes of the position."""
+
+
+GRBL = Language(
+    without_queries=lambda data: data.replace(b"?", b""),
+    stop=(b"!", b"\x18"),
+    alarm="ALARM",
+    position="position lost",
+)
+
+G2CORE = Language(
+    without_queries=lambda data: data.replace(b'{"sr":null}\n', b""),
+    stop=(b"!", b"\x04"),
+    alarm="ALARM",
+    position="position lost",
+)
+
+
 @dataclass
 class Wire:
     """What reached the other end of the wire, and when, on the clock of the controller."""
 
     now_s: Callable[[], float]
+    language: Language = GRBL
     heard: list[tuple[float, bytes]] = field(default_factory=list)
 
     def hear(self, data: bytes) -> None:
@@ -81,8 +111,16 @@ class Wire:
 
     @property
     def lines(self) -> bytes:
-        """Everything but status queries."""
-        return b"".join(data for _, data in self.heard).replace(b"?", b"").replace(b'{"sr":null}\n', b"")
+        """Everything but questions."""
+        return b"".join(self.language.without_queries(data) for _, data in self.heard)
+
+    def stopped_s(self, after_s: float) -> float | None:
+        """When the first word of a stop was heard, at ``after_s`` or later; None before all of it was."""
+        later = [(at_s, data) for at_s, data in self.heard if at_s >= after_s]
+        whole = b"".join(data for _, data in later)
+        if not all(word in whole for word in self.language.stop):
+            return None
+        return next(at_s for at_s, data in later if self.language.stop[0] in data)
 
 
 @dataclass
@@ -96,6 +134,8 @@ class MotionBench:
     axes: Axes
     inject: Callable[[bytes], None]
     """Puts bytes on the wire that are not the driver's."""
+    reset: Callable[[], None]
+    """Somebody else resets the controller."""
     during_wait: Callable[[Callable[[], None]], None]
     """Has a second thread call something while the first one waits for the controller."""
     cut: Callable[[], None]
@@ -162,6 +202,10 @@ def new_board(dialect: Dialect, axes: Axes) -> GrblBoard | TinyGBoard:
     return GrblBoard(axes, dialect=dialect, settings=settings_for(dialect))
 
 
+def language_of(dialect: Dialect) -> Language:
+    return G2CORE if dialect == "tinyg" else GRBL
+
+
 @contextlib.contextmanager
 def in_process_bench(dialect: Dialect) -> Iterator[MotionBench]:
     """The board on a virtual clock."""
@@ -169,7 +213,7 @@ def in_process_bench(dialect: Dialect) -> Iterator[MotionBench]:
     axes = Axes()
     board = new_board(dialect, axes)
     clock.attach(board.advance_to)
-    wire = Wire(clock.now_s)
+    wire = Wire(clock.now_s, language_of(dialect))
     lines: list[TappedLine] = []
 
     def reopen() -> MotionController:
@@ -180,7 +224,11 @@ def in_process_bench(dialect: Dialect) -> Iterator[MotionBench]:
         lines[-1].on_read = partial(in_second_thread, action)
 
     controller = reopen()
-    bench = MotionBench(controller, clock, reopen, wire, axes, board.receive, during_wait, cut=lines[-1].close)
+
+    def reset() -> None:
+        board.receive(b"\x18")
+
+    bench = MotionBench(controller, clock, reopen, wire, axes, board.receive, reset, during_wait, lines[-1].close)
     with contextlib.closing(controller):
         yield bench
 
@@ -190,7 +238,7 @@ def pty_bench(dialect: Dialect) -> Iterator[MotionBench]:
     """The board behind a pty and pyserial, in real time."""
     axes = Axes()
     clock = SystemClock()
-    wire = Wire(clock.now_s)
+    wire = Wire(clock.now_s, language_of(dialect))
     board = PtyDevice(new_board(dialect, axes), wire.hear)
     with contextlib.closing(board), soon(0.1) as during_wait:
 
@@ -199,7 +247,8 @@ def pty_bench(dialect: Dialect) -> Iterator[MotionBench]:
 
         controller = reopen()
         with contextlib.closing(controller):
-            yield MotionBench(controller, clock, reopen, wire, axes, board.inject, during_wait, cut=board.close)
+            reset = partial(board.inject, b"\x18")
+            yield MotionBench(controller, clock, reopen, wire, axes, board.inject, reset, during_wait, cut=board.close)
 
 
 @contextlib.contextmanager
@@ -217,5 +266,5 @@ def rig_file_bench(rig_file: Path) -> Iterator[MotionBench]:
     controller = rig.open_motion()
     with contextlib.closing(controller), soon(0.1) as during_wait:
         yield MotionBench(
-            controller, clock, rig.open_motion, Wire(clock.now_s), Axes(), not_here, during_wait, cut=not_here
+            controller, clock, rig.open_motion, Wire(clock.now_s), Axes(), not_here, not_here, during_wait, not_here
         )

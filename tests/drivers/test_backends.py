@@ -21,13 +21,15 @@ def test_every_built_in_backend_can_be_loaded(key: str) -> None:
 
 
 def test_an_unknown_backend_lists_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match=r"\[motion\] backend = 'marlin' is unknown; known are 'grbl', 'tinyg'"):
+    with pytest.raises(
+        ConfigError, match=r"\[motion\] backend = 'marlin' is unknown; known are 'bcap', 'grbl', 'tinyg'"
+    ):
         load_backend("motion", "marlin")
 
 
 def test_a_third_party_adds_one_by_an_entry_point(mocker: MockerFixture) -> None:
     add_entry_point(mocker, "motion.marlin", "fractions:Fraction")
-    assert backend_names("motion") == ["grbl", "marlin", "tinyg"]
+    assert backend_names("motion") == ["bcap", "grbl", "marlin", "tinyg"]
     assert load_backend("motion", "marlin")(1, 2) == 0.5
 
 

@@ -2,8 +2,10 @@ import math
 
 import pytest
 
+from drivers.errors import ConfigError
 from firmware_sim.bench import ORIGIN_MM, Bench, open_in_process
 from firmware_sim.clock import SimClock
+from firmware_sim.faults import parse_faults
 
 
 def say(line, text: bytes, until: bytes, timeout_s: float = 30.0) -> bytes:
@@ -79,3 +81,9 @@ def run_a_little(dialect) -> tuple[bytes, float, float]:
 @pytest.mark.parametrize("dialect", ["gnea", "grblhal"])
 def test_the_same_bench_does_the_same_twice(dialect):
     assert run_a_little(dialect) == run_a_little(dialect)
+
+
+@pytest.mark.parametrize("fault", ["serial.drop", "motion.lost_steps", "motion.firmware", "port.held"])
+def test_a_robot_has_no_faults_of_a_grbl_board(fault: str) -> None:
+    with pytest.raises(ConfigError, match="this bench has a robot"):
+        Bench(motion="bcap", faults=parse_faults([fault]))

@@ -183,6 +183,18 @@ def test_a_frozen_camera_gives_no_bite_and_ends_in_a_hold(bench: VirtualRig, tmp
 
 
 @pytest.mark.long
+def test_a_robot_fed_every_8_ms_mills_the_same_window(tmp_path: Path) -> None:
+    rig = virtual_rig(make="bcap")
+    result = rig.run(tmp_path / "run", JOB)
+    truth = rig.bench.machine.truth()
+    rig.close()
+    assert result.outcome == "complete", result.reason
+    assert truth.flap_free
+    assert not truth.membrane_touched
+    assert rig.bench.machine.spindle_rpm == 0.0
+
+
+@pytest.mark.long
 def test_a_picture_that_never_says_done_is_stopped_by_the_load(bench: VirtualRig, tmp_path: Path) -> None:
     """The failure of the paper: completion stays low after penetration."""
 

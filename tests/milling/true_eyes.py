@@ -25,7 +25,7 @@ from milling import loop
 from milling.job import Job
 from milling.record import RunRecorder
 from milling.standing import Standing
-from studies.virtual_runs import motion_of
+from studies.virtual_runs import open_motion
 from vision.completion import CompletionReading
 from vision.disparity import match
 from vision.keypoints import Keypoint
@@ -139,7 +139,7 @@ def virtual_rig(
     )
     clock = SimClock()
     line, bus, left, right = open_in_process(bench, clock)
-    motion = motion_of(bench, line, clock)
+    controller = open_motion(bench, line, clock)
     spindle = Cia402Spindle(bus, clock, node_id=NODE_ID, max_speed_rpm=MAX_SPEED_RPM)
     camera = StereoPair(left, right, clock, size_px=(960, 540), max_skew_s=0.02)
     x, y, z = (specimen.tool.ball_radius_mm * value for value in specimen.tool.axis)
@@ -148,8 +148,8 @@ def virtual_rig(
     own = parse_faults(faults, place="host")
     spoiled = FaultyReader(reader, own, clock, seed=0)
     finders = loop.Finders(_Tip(bench), _Landmarks(bench), spoiled, match)
-    rig = loop.Rig(motion, spindle, camera, clock, (x, y, z), PARK_MM)
-    return VirtualRig(bench, clock, rig, calibration, finders, reader, motion, spindle, camera, own)
+    rig = loop.Rig(controller, spindle, camera, clock, (x, y, z), PARK_MM)
+    return VirtualRig(bench, clock, rig, calibration, finders, reader, controller, spindle, camera, own)
 
 
 def true_calibration(bench: Bench, center_from_tip_mm: tuple[float, float, float]) -> Calibration:

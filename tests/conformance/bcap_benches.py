@@ -1,0 +1,120 @@
+"""An RC8 behind b-CAP, in process and behind a UDP socket; both on a virtual clock.
+
+A datagram to this very machine has arrived when the call that sent it returns, so that a real socket can be served in
+virtual time: nothing depends on how soon a process is run.
+"""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from functools import partial
+
+from motion_benches import MAX_FEED_MM_PER_S, Axes, Language, MotionBench, TappedLine, Wire
+from real_time import in_second_thread
+
+from drivers.motion.bcap.driver import BcapController
+from drivers.motion.interface import MotionController, Travel
+from drivers.motion.transport import DatagramLine
+from drivers.motion.udp_line import UdpLine, open_udp
+from firmware_sim.bcap_controller import RcController
+from firmware_sim.clock import SimClock
+from firmware_sim.lines import InProcessLine
+from firmware_sim.udp_port import UdpPort
+
+ORIGIN_MM = (326.0, -129.0, 221.0)
+ORIENTATION_DEG = (180.0, 0.0, 180.0)
+TRAVEL = Travel((-10.0, -30.0, -8.0), (24.5, 9.5, 19.5))
+_VALUE_OF_A_VARIABLE, _HALT = b"\x65\0\0\0\x01\0", b"\x46\0\0\0\x02\0"
+"""Function and number of arguments, as they stand in a packet."""
+
+
+def without_queries(datagram: bytes) -> bytes:
+    is_query = datagram[9:15] == _VALUE_OF_A_VARIABLE or "CurPos".encode("utf-16-le") in datagram
+    return b"" if is_query else datagram
+
+
+BCAP = Language(without_queries, stop=(_HALT,), alarm="error 0x", position="position kept")
+
+
+class InVirtualTime:
+    """A line over a real socket; waiting lets virtual time pass."""
+
+    def __init__(self, line: UdpLine, clock: SimClock) -> None:
+        self._line = line
+        self._clock = clock
+        self.name, self.descriptor = line.name, None
+        self.write, self.close = line.write, line.close
+
+    def read(self, timeout_s: float) -> bytes:
+        deadline_s = self._clock.now_s() + timeout_s
+        while not (data := self._line.read(0.0)) and self._clock.now_s() < deadline_s:
+            self._clock.sleep_s(min(0.001, deadline_s - self._clock.now_s()))
+        return data
+
+
+def bcap(line: DatagramLine, clock: SimClock) -> BcapController:
+    return BcapController(
+        line,
+        clock,
+        origin_mm=ORIGIN_MM,
+        orientation_deg=ORIENTATION_DEG,
+        travel=TRAVEL,
+        max_feed_mm_per_s=MAX_FEED_MM_PER_S,
+    )
+
+
+@contextlib.contextmanager
+def in_process_bcap_bench() -> Iterator[MotionBench]:
+    """The controller on a virtual clock."""
+    clock, axes = SimClock(), Axes()
+    board = RcController(axes)
+    clock.attach(board.advance_to)
+    wire = Wire(clock.now_s, BCAP)
+    with _bench(lambda: TappedLine(InProcessLine(board, clock), wire), board, clock, wire, axes) as bench:
+        yield bench
+
+
+@contextlib.contextmanager
+def udp_bcap_bench() -> Iterator[MotionBench]:
+    """The controller behind a UDP socket."""
+    clock, axes, port = SimClock(), Axes(), UdpPort()
+    board = RcController(axes)
+    wire = Wire(clock.now_s, BCAP)
+
+    def serve(time_s: float) -> None:
+        while not port.closed and (heard := port.read()):
+            wire.hear(heard)
+            board.receive(heard)
+        board.advance_to(time_s)
+        while not port.closed and (said := board.transmit()):
+            port.write(said)
+
+    clock.attach(serve)
+    nobody = Wire(clock.now_s, BCAP)
+    with (
+        contextlib.closing(port),
+        _bench(
+            lambda: TappedLine(InVirtualTime(open_udp(port.host, port.port), clock), nobody), board, clock, wire, axes
+        ) as bench,
+    ):
+        bench.cut = port.close
+        yield bench
+
+
+@contextlib.contextmanager
+def _bench(
+    line: Callable[[], TappedLine], board: RcController, clock: SimClock, wire: Wire, axes: Axes
+) -> Iterator[MotionBench]:
+    lines: list[TappedLine] = []
+
+    def reopen() -> MotionController:
+        lines.append(line())
+        return bcap(lines[-1], clock)
+
+    def during_wait(action: Callable[[], None]) -> None:
+        lines[-1].on_read = partial(in_second_thread, action)
+
+    controller = reopen()
+    with contextlib.closing(controller):
+        yield MotionBench(
+            controller, clock, reopen, wire, axes, board.receive, board.restart, during_wait, lines[-1].close
+        )
