@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from cli.live import live_option
 from cli.options import BenchChoice, json_option, rig_option
 from cli.output import columns, console_beside
 from cli.runs import folder_option, located
@@ -26,7 +27,10 @@ if TYPE_CHECKING:
     "--record", type=click.Path(path_type=Path), metavar="DIR", help="Folder of the new record. [default: runs/DATE]"
 )
 @json_option
-def resume(run_folder: Path, rig: Path | None, folder: Path, record: Path | None, json_file: Path | None) -> None:
+@live_option
+def resume(
+    run_folder: Path, rig: Path | None, folder: Path, record: Path | None, json_file: Path | None, live: bool
+) -> None:
     """Go on with a window whose run was stopped, held, or ended by a crash.
 
     Homes, verifies the drill tip in both cameras, and looks whether the skull lies where it lay. Then the kerf's floor
@@ -50,7 +54,7 @@ def resume(run_folder: Path, rig: Path | None, folder: Path, record: Path | None
     header = (("resumes", str(run.folder)),)
     calibration = run.folder / "calibration.toml"
     chosen = BenchChoice(rig)
-    mill_window(Window("resume", chosen, lambda _: job, calibration, record, json_file, standing, header))
+    mill_window(Window("resume", chosen, lambda _: job, calibration, record, json_file, standing, header, live=live))
 
 
 def _show(standing: "Standing", job: "Job", console: "Console") -> None:
