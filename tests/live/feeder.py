@@ -1,6 +1,6 @@
 """Plays the process that mills: feeds a page from a record, holds a supervisor, and tells what it hears.
 
-    python feeder.py RUN_FOLDER PORT_FD [--withheld] [--pipe]
+    python feeder.py RUN_FOLDER PORT_FD [--withheld] [--pipe] [--until=SECONDS]
 
 It says the page's address, and later `asked` when it is asked to stop and `heard: WHY` when its supervisor has stopped
 the motion. With `--withheld` the last points are asked about without a fresh frame; with `--pipe`
@@ -30,12 +30,25 @@ class Asked(Exception):  # noqa: N818  (a person's wish, not an error)
     """SIGINT."""
 
 
+class RecordClock:
+    """Stands where the record is."""
+
+    t = 0.0
+
+    def now_s(self) -> float:
+        return self.t
+
+    def sleep_s(self, duration_s: float) -> None:
+        self.t += duration_s
+
+
 def ask(*_: object) -> None:
     raise Asked
 
 
 def main() -> None:
     folder, port, *wishes = sys.argv[1:]
+    until_s = min((float(wish[8:]) for wish in wishes if wish.startswith("--until=")), default=float("inf"))
     run = read_run(Path(folder))
     calibration = Calibration.load(run.folder / "calibration.toml", None)
     clock = SystemClock()
@@ -45,17 +58,17 @@ def main() -> None:
         print(page.address, flush=True)
         page.header(title="rehearsal", calibration=str(run.folder / "calibration.toml"))
         page.hand_over_stop(int(port) if "--pipe" in wishes else guard.stop_end)
-        shown = Shown(NullRecorder(), page, clock, calibration)
+        told = RecordClock()
+        shown = Shown(NullRecorder(), page, told, calibration)
         try:
             for event in run.events:
-                if event["kind"] == "latched":
+                if event["kind"] == "latched" or event["t"] > until_s:
                     break
+                told.t = event["t"]
                 if event["kind"] == "frame":
                     image = cv2.imread(str(run.folder / event["file"]))
                     assert image is not None
                     shown.frame(event["name"], cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
-                    # The last picture of each eye must be shown, however fast a rehearsal is.
-                    shown._told_s.clear()
                 else:
                     shown.event(event["kind"], **{key: event[key] for key in event if key not in {"t", "kind"}})
                 clock.sleep_s(0.0003)
