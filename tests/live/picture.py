@@ -2,8 +2,7 @@
 
 python tests/live/picture.py docs/pictures/live.png [RUN_FOLDER [SECONDS]]
 
-Feeds a page from a record, or from a short run of its own, up to a time in the record, and takes its picture in light
-and beside it in dark.
+Feeds a page from a record, or from a short run of its own, up to a time in the record, and takes its picture.
 """
 
 import sys
@@ -30,14 +29,6 @@ def main() -> None:
             browser.until(f"now && document.getElementById('stop').disabled === false && {BRIGHT}(1) > 10")
             browser.until("now.t > 0 && now.silent_s > 0.4")
             browser.picture(Path(out))
-            browser.size(WIDTH_PX, HEIGHT_PX, dark=True)
-            browser.until("palette['--ink'] === '#f0f2f5'")
-            browser.picture(Path(out).with_stem(Path(out).stem + "_dark"))
-            browser.size(820, 1180)
-            browser.until("innerWidth === 820")
-            browser.ask("new Promise(requestAnimationFrame)")
-            browser.picture(Path(scratch) / "tablet.png")
-            Path(out).with_stem(Path(out).stem + "_tablet").write_bytes((Path(scratch) / "tablet.png").read_bytes())
 
 
 if __name__ == "__main__":
