@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "train": ("cli.train", "Train a network on rendered pictures."),
     "evaluate": ("cli.train", "Measure a network on specimens and rigs it never saw."),
     "experiment": ("cli.experiment", "Repeat the paper's experiments on virtual rigs."),
+    "live": ("cli.live", "Play a recorded run in the browser."),
     "runs": ("cli.runs", "List, show, report and replay recorded runs."),
     "trace": ("cli.trace", "Show, cut and export what --trace has written."),
     "support-bundle": ("cli.support_bundle", "Pack what a maintainer needs to help, without personal data."),

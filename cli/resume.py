@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from cli.live import live_option
 from cli.options import BenchChoice, json_option, rig_option, trace_option
 from cli.output import columns, console_beside
 from cli.runs import folder_option, located
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 )
 @trace_option
 @json_option
+@live_option
 def resume(
     run_folder: Path,
     rig: Path | None,
@@ -34,6 +36,7 @@ def resume(
     record: Path | None,
     trace_file: Path | None,
     json_file: Path | None,
+    live: bool,
 ) -> None:
     """Go on with a window whose run was stopped, held, or ended by a crash.
 
@@ -58,7 +61,7 @@ def resume(
     header = (("resumes", str(run.folder)),)
     calibration = run.folder / "calibration.toml"
     chosen = BenchChoice(rig, trace_file=trace_file)
-    mill_window(Window("resume", chosen, lambda _: job, calibration, record, json_file, standing, header))
+    mill_window(Window("resume", chosen, lambda _: job, calibration, record, json_file, standing, header, live=live))
 
 
 def _show(standing: "Standing", job: "Job", console: "Console") -> None:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cli.live import live_option
 from cli.options import BenchChoice, json_option, on_a_bench
 from cli.rig import Rig
 from cli.window import Window, mill_window
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 @click.command()
 @on_a_bench
 @json_option
+@live_option
 @click.option("--calibration", type=click.Path(path_type=Path), metavar="FILE", help="[default: calibrations/RIG.toml]")
 @click.option("--policy", type=click.Choice(["default", "paper", "previous"]), help="How to go deeper.")
 @click.option("--radius", "radius_mm", type=float, metavar="MM", help="Radius of the ring, 2 to 4 mm.")
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 def run(
     chosen: BenchChoice,
     json_file: Path | None,
+    live: bool,
     calibration: Path | None,
     record: Path | None,
     picture_period_s: float,
@@ -60,7 +63,9 @@ def run(
 
         return Job.from_table(_job_table(bench, choices))
 
-    mill_window(Window("run", chosen, job, calibration, record, json_file, picture_period_s=picture_period_s))
+    mill_window(
+        Window("run", chosen, job, calibration, record, json_file, picture_period_s=picture_period_s, live=live)
+    )
 
 
 def _job_table(bench: Rig, choices: dict[str, Any]) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from cli.calibrate import calibrate_rig, calibration_path, rig_identity
 from cli.doctor import CERTIFICATES
 from cli.emulate import recorded, sorted_faults, spoiled
+from cli.live import page_for, shown
 from cli.options import BenchChoice
 from cli.output import console_beside, write_json
 from cli.rig import Rig, rig_for, traced
@@ -43,6 +44,8 @@ class Window:
     """What else the record's header tells."""
     picture_period_s: float = 2.0
     """How often the record keeps a picture."""
+    live: bool = False
+    """Whether a browser shows it."""
 
 
 def mill_window(asked: Window) -> None:
@@ -72,7 +75,11 @@ def mill_window(asked: Window) -> None:
     folder = asked.record or Path("runs") / datetime.now().astimezone().strftime("%Y-%m-%d_%H-%M-%S")
     if (folder / "events.jsonl").exists():
         raise ConfigError(f"{folder}: holds a run already, which is kept; name another --record folder")
-    with _stop_signals() as stop_requested, rig_for(chosen, plants=("vision", "host", "disk")) as bench:
+    with (
+        _stop_signals() as stop_requested,
+        page_for(asked.live, console) as page,
+        rig_for(chosen, plants=("vision", "host", "disk")) as bench,
+    ):
         own = bench.config.weights
         tip, landmarks = TipFinder.load(own.tip), LandmarkFinder.load(own.landmarks)
         completion = CompletionReader.load(own.completion)
@@ -136,12 +143,13 @@ def mill_window(asked: Window) -> None:
                 )
                 scorer = Scorer(traced(recorded(recorder, own_faults, bench.clock), bench), bench)
                 with watched(console) as tell, _guarded(motion, bench) as guard:
+                    told = shown(scorer, page, folder, known, guard, bench.clock)
                     result = loop.run(
                         replace(rig_, guard=guard),
                         known,
                         finders,
                         job,
-                        scorer,
+                        told,
                         progress=tell,
                         stop_requested=stop_requested,
                         standing=asked.standing,

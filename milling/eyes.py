@@ -19,6 +19,8 @@ FRAME_AGE_S = 0.1
 BAD_IN_A_ROW = 5
 SHANK_MM = 12.0
 SEEN, HIDDEN, BEHIND = "s", "h", "b"
+RIGHT = {"left": "right", "look": "look_right"}
+"""What the record calls a picture that is read, and what its right neighbour, which is there for people."""
 HIDDEN_RADII = 1.25
 """The drill hides this many ball radii round its axis: shadow and blur included."""
 FAR_RADII = 4.0
@@ -211,6 +213,7 @@ class Watch:
             )
         self.completion = np.where(visible, completion, self.completion)
         self._recorder.frame(name, frame.left)
+        self._recorder.frame(RIGHT[name], frame.right)
 
     def _shown(
         self, reading: Reading, image: Image, tip_mm: Sequence[float] | None

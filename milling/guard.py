@@ -65,6 +65,14 @@ class Guard:
         """Of the supervisor."""
         return self._process.pid
 
+    @property
+    def stop_end(self) -> int:
+        """The pipe's end into which ``supervisor.STOP`` and a newline stop the motion, for a process that may do so.
+
+        While that process keeps it open the supervisor learns of a killed run from its silence, and not at once.
+        """
+        return self._to
+
     def arm(self) -> None:
         """From now on silence stops the motion."""
         self._say(supervisor.ARM)

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from drivers.checked_lines import LineWriter, plain, read_lines
 from drivers.clock import Clock
 from drivers.errors import ConfigError
+from milling.eyes import RIGHT
 
 SYNCED = frozenset(
     {"state", "contact", "stopped", "done", "reopened", "floor", "latched", "spindle", "outcome", "error", "trajectory"}
@@ -51,7 +52,8 @@ class RunRecorder:
             folder: where; created with its parents.
             header: JSON; ``schema`` is added.
             clock: stamps the events, relative to now.
-            frame_period_s: at most one picture of a name in this time.
+            frame_period_s: at most one picture of a name in this time; those of the right eye, which nothing is
+                decided from, never come closer than 2 s.
             on_loss: told once, in words, when the disk takes no more pictures.
         """
         self.folder = folder
@@ -81,7 +83,8 @@ class RunRecorder:
     def frame(self, name: str, image: npt.NDArray[np.uint8]) -> None:
         """Keep a picture unless one of this name was kept just now."""
         now_s = self._clock.now_s()
-        if not self._lines.is_open or now_s - self._frame_at_s.get(name, float("-inf")) < self._frame_period_s:
+        period_s = max(self._frame_period_s, _FRAME_PERIOD_S) if name in RIGHT.values() else self._frame_period_s
+        if not self._lines.is_open or now_s - self._frame_at_s.get(name, float("-inf")) < period_s:
             return
         import cv2
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from drivers.errors import ConfigError
-from milling.eyes import SEEN
+from milling.eyes import RIGHT, SEEN
 from milling.job import Job
 from milling.limits import Limits
 from milling.permission import Ledger
@@ -172,5 +172,5 @@ def _with_pictures(events: list[dict[str, Any]]) -> Iterator[tuple[dict[str, Any
     """Every event, and with a reading the picture that it was read from, if that was kept."""
     for number, event in enumerate(events):
         following = events[number + 1] if number + 1 < len(events) else {}
-        kept = event["kind"] == "reading" and following.get("kind") == "frame"
+        kept = event["kind"] == "reading" and following.get("kind") == "frame" and following["name"] in RIGHT
         yield event, following["file"] if kept else None
