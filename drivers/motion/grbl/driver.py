@@ -387,11 +387,10 @@ class GrblController(MotionController):
     def _status(self) -> MotionStatus:
         report = self._last_report()
         fault = self._session.fault
+        waits = self._session.has_unacknowledged
         locked = "locked since power-up; home() releases" if report.state == "Alarm" else None
         return MotionStatus(
-            state=MotionState.ALARM
-            if fault
-            else motion_state(report, self._planner_blocks, waits=self._session.has_unacknowledged),
+            state=MotionState.ALARM if fault else motion_state(report, self._planner_blocks, waits=waits),
             position_mm=self._limits.robot_mm(report.machine_mm),
             queued_s=self._queue.duration_s(report.machine_mm, standing=report.state == "Idle"),
             time_s=self._session.report_time_s,

@@ -1,4 +1,4 @@
-"""What a supervisor, which knows no make, writes to a GRBL controller to stop it: pairs of bytes and seconds to wait."""
+"""What a supervisor, which knows no make, writes to a GRBL controller to stop it: bytes, and seconds to wait."""
 
 from drivers.motion.grbl import protocol
 
