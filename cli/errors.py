@@ -6,8 +6,10 @@ from pathlib import Path
 from cli.main import exit_code
 from drivers import errors
 from drivers.errors import MillError
+from drivers.motion.bcap.results import WORDS as BCAP
 from drivers.motion.grbl.codes import ALARMS, ERRORS
-from drivers.spindle import emergency
+from drivers.motion.tinyg.codes import CODES as G2CORE
+from drivers.spindle import delta_registers, emergency, modbus_wire
 
 PAGE = Path(__file__).parent.parent / "docs/errors.md"
 
@@ -50,6 +52,11 @@ MOVED_AND_STEP: dict[type[MillError], tuple[str, str]] = {
         "may have; the device has stopped by itself",
         "remove the cause that the code names (tables below), then `mill jog --home`",
     ),
+    modbus_wire.RefusedError: (
+        "may have; the inverter has its own reason",
+        "correct the parameter of the inverter that the message names (tables below)",
+    ),
+    modbus_wire.StoppedError: ("may have; a stop came first", "start the drill again where that was meant"),
     errors.DeviceBusyError: ("no", "end the process that it names; `mill stop` ends one of mill's"),
     errors.NotHomedError: ("no", "`mill jog --home`"),
     errors.OutOfTravelError: ("no", "choose a target inside the travel that the message tells"),
@@ -77,7 +84,7 @@ MOVED_AND_STEP: dict[type[MillError], tuple[str, str]] = {
 
 def page() -> str:
     """The text of docs/errors.md."""
-    return "\n".join([HEAD, *_classes(), *_grbl(), *_drive(), ""])
+    return "\n".join([HEAD, *_classes(), *_grbl(), *_other_controllers(), *_drive(), ""])
 
 
 def kinds(kind: type[MillError] = MillError, depth: int = 0) -> Iterator[tuple[type[MillError], int]]:
@@ -112,11 +119,23 @@ def _grbl() -> Iterator[str]:
     )
 
 
+def _other_controllers() -> Iterator[str]:
+    yield "## g2core: status codes\n"
+    yield "In the footer of a reply or in an exception report.\n"
+    yield from _table(("code", "meaning"), ((str(code), words) for code, words in G2CORE.items()))
+    yield "## b-CAP: results of the robot's controller\n"
+    yield "What is not listed stands in the controller's own list of errors.\n"
+    yield from _table(("result", "meaning"), ((f"0x{code:08X}", words) for code, words in BCAP.items()))
+
+
 def _drive() -> Iterator[str]:
     yield "## CiA 402: emergency codes of the drive\n"
     yield "In messages as `drive fault 0x7121 motor blocked`. A code that is not listed is told by its family.\n"
     yield from _table(("code", "meaning"), ((f"0x{code:04X}", words) for code, words in emergency.EXACT.items()))
     yield from _table(("family", "meaning"), ((f"0x{code:X}...", words) for code, words in emergency.BY_FAMILY.items()))
+    yield "## Delta VFD: faults of the inverter\n"
+    yield "Acknowledge at the inverter once the cause is gone.\n"
+    yield from _table(("code", "meaning"), ((str(code), words) for code, words in delta_registers.FAULTS.items()))
 
 
 def _table(titles: tuple[str, ...], rows: Iterator[tuple[str, ...]]) -> Iterator[str]:

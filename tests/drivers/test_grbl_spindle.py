@@ -7,7 +7,8 @@ import pytest
 
 from cli.config import GrblMotion, GrblSpindleTable
 from drivers.errors import ConfigError, DeviceFaultError
-from drivers.motion.grbl.driver import DRILL_OFF, STOP_SCRIPT, GrblController
+from drivers.motion.grbl.driver import GrblController
+from drivers.motion.grbl.stop_script import DRILL_OFF, STOP_SCRIPT
 from drivers.motion.interface import MotionState
 from drivers.spindle.grbl import GrblSpindle
 from firmware_sim.bench import MAX_FEED_MM_S, ORIGIN_MM, Bench, open_in_process

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from drivers.motion.grbl.driver import STOP_SCRIPT, GrblController
+from drivers.motion.grbl.driver import GrblController
+from drivers.motion.grbl.stop_script import STOP_SCRIPT
 from drivers.motion.interface import StopPath
 from firmware_sim.bench import MAX_FEED_MM_S, ORIGIN_MM, Bench, open_in_process
 from firmware_sim.clock import SimClock

@@ -9,7 +9,7 @@ E_NO_SLAVE_MODE = 0x83500121
 E_HANDLE = 0x80070006
 _FAILURE = 0x80000000
 
-_WORDS = {
+WORDS = {
     S_OK: "done",
     0x00000001: "done, and the answer is no",
     S_EXECUTING: "still executing",
@@ -43,7 +43,7 @@ def failed(result: int) -> bool:
 
 def result_words(result: int) -> str:
     """An HRESULT as a person reads it."""
-    words = _WORDS.get(result)
+    words = WORDS.get(result)
     axis = result & 0xF
     if words is None and 1 <= axis <= 8 and (of := _RANGES.get(result & ~0xF)) is not None:
         words = f"{of} {axis}"

@@ -22,6 +22,8 @@ from drivers.errors import (
 from drivers.motion.grbl import machine, protocol
 from drivers.motion.grbl.limits import SoftLimits
 from drivers.motion.grbl.session import REPLY_S, GrblSession
+from drivers.motion.grbl.states import motion_state
+from drivers.motion.grbl.stop_script import DRILL_OFF, STOP_SCRIPT
 from drivers.motion.interface import MotionController, MotionState, MotionStatus, StopPath, Travel, Vector
 from drivers.motion.queue import BlockQueue
 from drivers.motion.transport import SerialLine
@@ -32,18 +34,6 @@ POLL_S = 0.08
 """Together with the reply about 12 Hz, which an AVR bears while it plans."""
 MODAL_LINE = "G21G90G94"
 
-STOP_SCRIPT = ((protocol.HOLD, 0.2), (protocol.RESET, 0.5), (b"$J=G91G21Z1.5F900\n", 0.4))
-"""Hold; a reset at standstill, which drops the queue; 1.5 mm up at 15 mm/s, and the time that takes. If it was not
-standing at the reset, its position is lost, and it locks itself and refuses to lift."""
-DRILL_OFF = ((protocol.RESET, 0.1),)
-"""Nothing but the host stops a drill on this controller: the script's reset, and one more should that get lost."""
-
-_STATES = {
-    "Run": MotionState.MOVING,
-    "Jog": MotionState.MOVING,
-    "Home": MotionState.HOMING,
-    "Alarm": MotionState.ALARM,
-}
 _DEAD_TIME_GNEA_S = 0.040
 _DEAD_TIME_HAL_S = 0.075
 _SETTLE_S = 0.15
@@ -401,20 +391,12 @@ class GrblController(MotionController):
     def _status(self) -> MotionStatus:
         report = self._last_report()
         fault = self._session.fault
+        waits = self._session.has_unacknowledged
         locked = "locked since power-up; home() releases" if report.state == "Alarm" else None
         return MotionStatus(
-            state=MotionState.ALARM if fault else self._motion_state(report),
+            state=MotionState.ALARM if fault else motion_state(report, self._planner_blocks, waits=waits),
             position_mm=self._limits.robot_mm(report.machine_mm),
             queued_s=self._queue.duration_s(report.machine_mm, standing=report.state == "Idle"),
             time_s=self._session.report_time_s,
             alarm=fault.words if fault else locked,
         )
-
-    def _motion_state(self, report: protocol.Report) -> MotionState:
-        if report.state == "Hold":
-            return MotionState.HELD if report.substate == 0 else MotionState.HOLDING
-        if report.state == "Idle":
-            # A block that is planned already starts a moment later.
-            planned = report.blocks_free is not None and report.blocks_free < self._planner_blocks
-            return MotionState.MOVING if planned or self._session.has_unacknowledged else MotionState.IDLE
-        return _STATES.get(report.state, MotionState.OTHER)
