@@ -23,7 +23,9 @@ def examine(patient: Patient) -> Iterator[Check]:
     yield at_most("computer: write to disk, p99", percentile(_sync_ms(), 0.99), 200.0, "ms", "use a faster disk")
     naps = _late_ms()
     yield at_most("computer: wakes up late, p99", percentile(naps, 0.99), 50.0, "ms", "end what else runs")
-    yield at_most("computer: load per core", os.getloadavg()[0] / (os.cpu_count() or 1), 8.0, "", "end what else runs")
+    # What the load does to the loop is how late it wakes up; the figure itself is for whoever wonders why.
+    load = os.getloadavg()[0] / (os.cpu_count() or 1)
+    yield Check("computer: load per core", load, "", "told, not required", True)
     drift_ms = _drift_ms()
     yield at_most("computer: clock against boot time", drift_ms, 1.0, "ms", "the computer slept, or its clock jumps")
     yield Check("computer: real-time priority", _real_time(), "", "told, not required", True)

@@ -29,7 +29,7 @@ _FUNCTIONS = (ReadHoldingRegistersRequest.function_code, WriteSingleRegisterRequ
 class RefusedError(DeviceFaultError):
     """The drive understood and said no: a Modbus exception."""
 
-    def __init__(self, message: str, code: int) -> None:
+    def __init__(self, message: str, code: int = 0) -> None:
         super().__init__(message)
         self.code = code
 
