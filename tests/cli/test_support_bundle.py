@@ -92,7 +92,7 @@ def test_nothing_tells_who_packs_it(place: Path) -> None:
         for word in PERSONAL:
             assert word.lower() not in text.lower(), (name, word)
     devices = {row["path"]: row["serial_number"] for row in json.loads(contents(place / "b.zip")["devices.json"])}
-    assert devices == {"/dev/mill-motion": "A50285BI", "/dev/ttyUSB9": None}
+    assert devices == {"/dev/mill-motion": "A50285BI", "/dev/ttyUSB9": None, "http://10.0.0.2/left": None}
 
 
 def test_records_and_traces_can_still_be_read(place: Path) -> None:

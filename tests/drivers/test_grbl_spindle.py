@@ -168,7 +168,7 @@ def test_a_rig_opens_both_on_one_port_in_either_order(first: str, monkeypatch: p
     clock, bench = SimClock(), Bench(Specimen(seed=1), spindle="grbl")
     opened_lines: list[InProcessLine] = []
 
-    def open_one(table: GrblMotion, _clock: object) -> GrblController:
+    def open_one(table: GrblMotion, _clock: object, _trace: object) -> GrblController:
         opened_lines.append(InProcessLine(bench, clock))
         return GrblController(opened_lines[-1], clock, origin_mm=ORIGIN_MM, max_feed_mm_per_s=MAX_FEED_MM_S)
 
