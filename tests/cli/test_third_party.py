@@ -190,7 +190,11 @@ def test_every_command_opens_devices_of_another_make(
     ("line", "wrong", "says"),
     [
         ('backend = "example"\nport', 'backend = "example"\nprot', r"\[motion\] (port|prot): .*allowed keys: port"),
-        ('backend = "example"', 'backend = "exmaple"', "motion.backend = 'exmaple': unknown; allowed: bcap, example, grbl, tinyg"),
+        (
+            'backend = "example"',
+            'backend = "exmaple"',
+            "motion.backend = 'exmaple': unknown; allowed: bcap, example, grbl, tinyg",
+        ),
         ("/dev/pts/", "/dev/nowhere/", r"/dev/nowhere/\d+: cannot be opened.*mill devices"),
     ],
 )

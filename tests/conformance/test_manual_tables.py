@@ -1,6 +1,7 @@
 """The GRBL tables typed from the manuals, run against the driver and against the emulated board."""
 
 import dataclasses
+import re
 import runpy
 from pathlib import Path
 from typing import Any
@@ -127,7 +128,12 @@ def test_the_tables_of_codes_are_whole() -> None:
 def read_report(line: bytes) -> tuple[Any, ...] | None:
     (message,) = Parser().feed(line + b"\r\n")
     assert isinstance(message, Report | Broken)
-    return dataclasses.astuple(message) if isinstance(message, Report) else None
+    if not isinstance(message, Report):
+        return None
+    # FS is feed and spindle speed (1.1 interface, "Current feed and speed"); the tables' values do not hold it.
+    speed = re.search(rb"\|FS:[^,|>]*,(\d+)", line)
+    assert message.spindle_rpm == (None if speed is None else float(speed[1]))
+    return dataclasses.astuple(dataclasses.replace(message, spindle_rpm=None))[:-1]
 
 
 @pytest.mark.parametrize(("line", "values"), [row[3:] for row in TABLES["REPORTS"]] + TABLES["REPORTS_OF_OTHER_BOARDS"])
