@@ -5,7 +5,7 @@ import select
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -141,6 +141,13 @@ def recorded(recorder: "Recorder", faults: "Sequence[Fault]", clock: "Clock") ->
     from firmware_sim.faulty_disk import FaultyDisk
 
     return FaultyDisk(recorder, faults, clock) if faults else recorder
+
+
+def hogged(faults: "Sequence[Fault]") -> "AbstractContextManager[object]":
+    """Other programs that want every core, where that is planted."""
+    from firmware_sim.hogs import hogs
+
+    return hogs(faults)
 
 
 def rig_text(service: "BenchService", name: str) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from cli.calibrate import calibrate_rig, calibration_path, rig_identity
 from cli.doctor import CERTIFICATES
-from cli.emulate import recorded, sorted_faults, spoiled
+from cli.emulate import hogged, recorded, sorted_faults, spoiled
 from cli.live import page_for, shown
 from cli.options import BenchChoice
 from cli.output import console_beside, write_json
@@ -142,7 +142,7 @@ def mill_window(asked: Window) -> None:
                     bench.config.bench.park_mm,
                 )
                 scorer = Scorer(traced(recorded(recorder, own_faults, bench.clock), bench), bench)
-                with watched(console) as tell, _guarded(motion, bench) as guard:
+                with watched(console) as tell, hogged(own_faults), _guarded(motion, bench) as guard:
                     told = shown(scorer, page, folder, known, guard, bench.clock)
                     result = loop.run(
                         replace(rig_, guard=guard),

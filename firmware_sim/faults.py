@@ -80,7 +80,14 @@ CATALOGUE: Final[dict[str, Kind]] = {
     "host.stop": Kind(
         "the program that mills stands still once", place="host", default=2.0, unit="s", low=0.01, high=60.0
     ),
-    "host.hog": Kind("so many other programs want every core", place="host", default=6, unit="", low=1, high=64),
+    "host.hog": Kind(
+        "so many other programs want every core, from the run's start on",
+        place="host",
+        default=6,
+        unit="",
+        low=1,
+        high=64,
+    ),
     "disk.full": Kind("the disk takes no more of the record; `mill doctor` finds next to no room", place="host"),
     "disk.slow": Kind(
         "once a second the disk keeps the program waiting", place="host", default=0.3, unit="s", low=0.01, high=10.0
