@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import signal
 import subprocess
 import termios
 from collections.abc import Iterator
@@ -244,14 +245,19 @@ def test_a_port_that_appears_while_watching_is_told_until_ctrl_c(tmp_path: Path)
     rig.write_text(GOOD.replace("/dev/mill-motion", str(port)))
     pipe = subprocess.PIPE
     words = ["devices", "--watch", "--rig", str(rig), "--json", str(results)]
-    with subprocess.Popen([*MILL, *words], stdout=pipe, text=True) as process:
+
+    def listens() -> None:
+        # A shell that runs the tests in the background has children ignore Ctrl-C.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    with subprocess.Popen([*MILL, *words], stdout=pipe, text=True, preexec_fn=listens) as process:
         assert process.stdout is not None
         try:
             while "watching" not in process.stdout.readline():
                 pass
             port.touch()
             assert process.stdout.readline().split()[:3] == ["plugged", "serial", str(port)]
-            process.send_signal(2)
+            process.send_signal(signal.SIGINT)
             assert process.wait(timeout=20.0) == 0
         finally:
             process.kill()
