@@ -245,12 +245,9 @@ def test_a_port_that_appears_while_watching_is_told_until_ctrl_c(tmp_path: Path)
     rig.write_text(GOOD.replace("/dev/mill-motion", str(port)))
     pipe = subprocess.PIPE
     words = ["devices", "--watch", "--rig", str(rig), "--json", str(results)]
-
-    def listens() -> None:
-        # A shell that runs the tests in the background has children ignore Ctrl-C.
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-    with subprocess.Popen([*MILL, *words], stdout=pipe, text=True, preexec_fn=listens) as process:
+    # A shell that runs the tests in the background has its children ignore Ctrl-C.
+    listening = ["env", "--default-signal=INT", *MILL, *words]
+    with subprocess.Popen(listening, stdout=pipe, text=True) as process:
         assert process.stdout is not None
         try:
             while "watching" not in process.stdout.readline():
