@@ -10,6 +10,7 @@ not grown again.
 import argparse
 import json
 import shutil
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
@@ -243,14 +244,16 @@ def main(words: Sequence[str] | None = None) -> None:
             print(f"{running.result()} branches grown", flush=True)
     files = sorted(given.out.glob("mouse-*.json"))
     branches = [json.loads(file.read_text(encoding="utf-8")) for file in files]
-    rows = summary([row for row in branches if row["fault"] in wanted and row["seed"] in given.seeds])
+    chosen = [row for row in branches if row["fault"] in wanted and row["seed"] in given.seeds]
+    rows, phases = summary(chosen), dict(Counter(row["phase"] for row in chosen))
     for row in rows:
         print({key: value for key, value in row.items() if value})
     for file in sorted(given.out.glob("*.error")):
         print(f"{file}: {file.read_text().splitlines()[-1]}")
     if given.json:
         given.json.write_text(
-            json.dumps({"command": "fault table", "seeds": given.seeds, "rows": rows}), encoding="utf-8"
+            json.dumps({"command": "fault table", "seeds": given.seeds, "phases": phases, "rows": rows}),
+            encoding="utf-8",
         )
 
 

@@ -10,12 +10,14 @@ def fault_table(result: Figures) -> list[str]:
     """Of ``python -m studies.fault_table``."""
     rows = result["rows"]
     seeds = ",".join(map(str, result["seeds"]))
+    phases = ", ".join(f"{name} {count}" for name, count in result["phases"].items())
     branches, touched = (sum(row[key] for row in rows) for key in ("branches", "membranes_touched"))
     lines = [
         "## Every fault in four phases of a run",
         "",
         f"`python -m studies.fault_table --seeds {seeds} --out DIR --json FILE`: each fault begins amidst the contacts",
         "in one branch, in others in the first laps, where points are nearly through, and at the look; full pixels.",
+        f"Branches by phase: {phases}.",
         f"Membranes touched: {touched} in {branches} branches. Lower after latch is how far the tip went down once the",
         "failure was latched; overrun is depth below what was ever permitted there: of the axes as commanded, and of",
         "the tip with run-out and play.",

@@ -93,7 +93,7 @@ def test_kills_faults_and_the_doctor_have_their_sections() -> None:
     text = page(
         {},
         [
-            {"command": "fault table", "seeds": [1, 2], "rows": [row]},
+            {"command": "fault table", "seeds": [1, 2], "phases": {"entry": 12}, "rows": [row]},
             {"command": "killed runs", "seeds": [1], "asked_kills": 60, **kills},
             {"command": "killed processes", "kills": 20, "program": victim},
             {
