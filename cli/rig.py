@@ -8,11 +8,11 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 import click
 
@@ -43,6 +43,8 @@ from drivers.traced_devices import TracedMotion, TracedSpindle
 
 if TYPE_CHECKING:
     from drivers.motion.grbl.driver import GrblController
+
+Board = TypeVar("Board", bound=MotionController)
 
 EMULATOR_START_S = 120.0
 """The first start of a virtual bench compiles its renderer."""
@@ -191,29 +193,22 @@ def open_grbl(table: GrblMotion, clock: Clock, trace: Trace | None = None) -> "G
     """GRBL on its serial port."""
     from drivers.motion.grbl.driver import GrblController
 
-    line = _serial_line(table.port, table.baud, trace)
-    try:
-        return GrblController(
-            line,
-            clock,
-            origin_mm=table.origin_mm,
-            max_feed_mm_per_s=table.max_feed_mm_s,
-            expected_settings=table.settings,
-            expected_firmware=table.firmware,
-            reply_s=table.reply_s,
-        )
-    except BaseException:
-        line.close()
-        raise
+    return _open_board(GrblController, table, clock, trace)
 
 
 def open_tinyg(table: TinyGMotion, clock: Clock, trace: Trace | None = None) -> MotionController:
     """A g2core board on its serial port."""
     from drivers.motion.tinyg.driver import TinyGController
 
+    return _open_board(TinyGController, table, clock, trace)
+
+
+def _open_board(
+    make: Callable[..., Board], table: GrblMotion | TinyGMotion, clock: Clock, trace: Trace | None
+) -> Board:
     line = _serial_line(table.port, table.baud, trace)
     try:
-        return TinyGController(
+        return make(
             line,
             clock,
             origin_mm=table.origin_mm,
