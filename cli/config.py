@@ -24,27 +24,9 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class GrblMotion(Table):
-    """GRBL 1.1 (gnea or grblHAL) on a serial port."""
+class BoardTable(Table):
+    """A motion board on a serial port."""
 
-    backend: Literal["grbl"] = "grbl"
-    port: str
-    baud: int = Field(115200, gt=0)
-    origin_mm: Vector
-    """Where the controller's machine coordinates put the origin of {R}."""
-    max_feed_mm_s: Positive = 20.0
-    reply_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
-    """How long a status report is waited for; three missed ones in a row stop the machine."""
-    settings: dict[Annotated[str, Field(pattern=r"^\$?[0-9]+$")], Finite] = {}
-    """Firmware settings that must read back as given, such as "$100" = 1000."""
-    firmware: str = ""
-    """What the firmware's version must begin with, such as "1.1h"."""
-
-
-class TinyGMotion(Table):
-    """A g2core board (TinyG's successor), JSON on a serial port."""
-
-    backend: Literal["tinyg"] = "tinyg"
     port: str
     baud: int = Field(115200, gt=0)
     """USB boards take any."""
@@ -53,10 +35,24 @@ class TinyGMotion(Table):
     max_feed_mm_s: Positive = 20.0
     reply_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
     """How long a status report is waited for; three missed ones in a row stop the machine."""
+    firmware: str = ""
+    """What the firmware's version or build must begin with, such as "1.1h" or "101."."""
+
+
+class GrblMotion(BoardTable):
+    """GRBL 1.1 (gnea or grblHAL)."""
+
+    backend: Literal["grbl"] = "grbl"
+    settings: dict[Annotated[str, Field(pattern=r"^\$?[0-9]+$")], Finite] = {}
+    """Firmware settings that must read back as given, such as "$100" = 1000."""
+
+
+class TinyGMotion(BoardTable):
+    """A g2core board (TinyG's successor), JSON."""
+
+    backend: Literal["tinyg"] = "tinyg"
     settings: dict[Annotated[str, Field(pattern=r"^[a-z0-9]{1,5}$")], Finite] = {}
     """Firmware settings that must read back as given, such as "xtn" = -35."""
-    firmware: str = ""
-    """What the firmware's build must begin with, such as "101."."""
 
 
 class BcapMotion(Table):

@@ -105,7 +105,6 @@ def _patient(bench: Rig, chosen: BenchChoice, *, moving: bool) -> "Patient":
         park_mm=config.bench.park_mm,
         center_from_tip_mm=config.tool.center_from_tip_mm,
         speed_rpm=float(spindle.get("speed_rpm", 20_000.0)),
-        fps=float(config.camera.model_dump().get("fps", 20.0)),
         limits=Limits(**limits),
         motion_port=str(motion.get("port", "")),
         moving=moving,

@@ -76,7 +76,6 @@ class Patient:
     park_mm: Vector
     center_from_tip_mm: Vector
     speed_rpm: float
-    fps: float
     limits: Limits = field(default_factory=Limits)
     motion_port: str = ""
     earlier: "Certificate | None" = None

@@ -91,7 +91,6 @@ def patient(bench: Bench, clock: SimClock, *, free_disk_mb: float = 1e6) -> Pati
         park_mm=PARK_MM,
         center_from_tip_mm=(x, y, z),
         speed_rpm=SPEED_RPM,
-        fps=FPS,
         free_disk_mb=lambda: free_disk_mb,
     )
 

@@ -12,7 +12,6 @@ from served_bench import MILL, ServedBench, served_bench
 from cli.config import BcapMotion, GrblMotion, OpenCvCamera, TinyGMotion, load_rig
 from cli.rig import WiredRig, open_bcap
 from drivers.clock import SystemClock
-from drivers.errors import DeviceFaultError
 
 
 @pytest.fixture
@@ -54,13 +53,7 @@ def test_a_robot_is_served_over_udp(tmp_path: Path) -> None:
         with open_bcap(rig.motion, SystemClock()) as robot:
             assert "mill-bench-" in robot.identity
             robot.home()
-            x, y, z = robot.status().position_mm
-            robot.start_move((x - 0.5, y, z), feed_mm_per_s=5.0)
-            try:
-                assert robot.wait_until_idle(5.0).position_mm == (x - 0.5, y, z)
-            except DeviceFaultError as error:
-                # A machine that is busy elsewhere may be late by more than the robot's buffer is deep.
-                assert "slave mode" in str(error)  # noqa: PT017
+            assert robot.travel.contains(robot.status().position_mm)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
