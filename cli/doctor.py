@@ -70,7 +70,8 @@ def doctor(chosen: BenchChoice, json_file: Path | None, no_motion: bool, recerti
         found = certify(bench.config.name, there.devices, there.settings, checks, seen[0] if seen else None,
                         now=now, software=software)  # fmt: skip
         found.save(path)
-    report = path.with_suffix(".html")
+    # The page beside a certificate is that of the examination it came from.
+    report = path.with_suffix(".html") if certified else path.with_name(f"{path.stem}-examined.html")
     write_doctor_report(report, bench.config.name, checks, there.devices, earlier, now, certified=certified)
     if json_file:
         told = [check.to_json() for check in checks]
