@@ -104,6 +104,7 @@ def run_trials(
             _read(file, made_by)
     done = len(arguments) - len(missing)
     progress(done, len(arguments))
+    others = set(active_children())
     with _executor(workers, cluster) as pool:
         running = {pool.submit(trial, *arguments[name]): name for name in missing}
         try:
@@ -121,7 +122,7 @@ def run_trials(
                 waiting.cancel()
             pool.shutdown(wait=False)
             # A trial takes a minute, and some wait where nothing can cancel them; each leaves nothing but its scratch.
-            for worker in active_children():
+            for worker in set(active_children()) - others:
                 worker.kill()
                 worker.join()
             raise

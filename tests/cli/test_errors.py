@@ -66,7 +66,7 @@ PROVOKED: dict[str, tuple[str, str, list[str], int, list[str]]] = {
     "another firmware": ("firmware", 'firmware = "9.9"', ["jog"], 2, ["9.9", "1.1h", "firmware"]),
     "a setting that is another": ('"$100"', '"$100" = 77', ["jog"], 2, ["$100", "77", "1000"]),
     "a setting that is none": ('"$100"', '"$abc" = 7', ["jog"], 2, ["$abc", "correct"]),
-    "a key that is none": ("baud", "bauds = 1", ["jog"], 2, ["motion.bauds", "allowed: backend, port"]),
+    "a key that is none": ("baud", "bauds = 1", ["jog"], 2, ["motion.bauds", "allowed: port, baud"]),
     "a make that is none": ("backend", 'backend = "cnc"', ["jog"], 2, ["motion.backend", "'cnc'", "install"]),
     "a place outside the travel": ("name", 'name = "b"', ["jog", "--home", "--to", "999", "0", "0"], 3,
                                    ["999", "travel"]),

@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import threading
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -27,6 +28,18 @@ def endless(number):
     if number > 1:
         threading.Event().wait()
     return {"number": number}
+
+
+@contextmanager
+def other_process():
+    """A child that is no trial's."""
+    process = multiprocessing.get_context("spawn").Process(target=endless, args=(2,))
+    process.start()
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.join()
 
 
 def arguments(folder, numbers=(1, 2, 3)):
@@ -120,12 +133,15 @@ def test_one_trial_has_no_interval():
     assert json.dumps(rms_interval([0.3, 0.3]))
 
 
-def test_an_interrupt_waits_for_no_trial_and_leaves_no_process(tmp_path):
+def test_an_interrupt_waits_for_no_trial_and_leaves_no_process_but_those_of_others(tmp_path):
     def interrupt(done, _total):
         if done == 1:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
-        run_trials(endless, {f"t-{n}": (n,) for n in (1, 2, 3, 4)}, tmp_path, workers=2, progress=interrupt)
-    assert multiprocessing.active_children() == []
+    with other_process() as other:
+        before = multiprocessing.active_children()
+        with pytest.raises(KeyboardInterrupt):
+            run_trials(endless, {f"t-{n}": (n,) for n in (1, 2, 3, 4)}, tmp_path, workers=2, progress=interrupt)
+        assert other.is_alive()
+        assert set(multiprocessing.active_children()) == set(before)
     assert [file.name for file in tmp_path.iterdir()] == ["t-1.json"]
