@@ -22,6 +22,7 @@ from drivers.errors import ConfigError
 if TYPE_CHECKING:
     from calib.calibration_file import Calibration
     from drivers.motion.interface import MotionController
+    from drivers.spindle.interface import Spindle
     from milling.guard import Guard
     from milling.job import Job
     from milling.standing import Standing
@@ -142,7 +143,7 @@ def mill_window(asked: Window) -> None:
                     bench.config.bench.park_mm,
                 )
                 scorer = Scorer(traced(recorded(recorder, own_faults, bench.clock), bench), bench)
-                with watched(console) as tell, hogged(own_faults), _guarded(motion, bench) as guard:
+                with watched(console) as tell, hogged(own_faults), _guarded(motion, spindle, bench) as guard:
                     told = shown(scorer, page, folder, known, guard, bench.clock)
                     result = loop.run(
                         replace(rig_, guard=guard),
@@ -192,8 +193,10 @@ def write_report(folder: Path) -> Path:
     return write(folder)
 
 
-def _guarded(motion: "MotionController", bench: Rig) -> "contextlib.AbstractContextManager[Guard | None]":
-    """A supervisor process for the motion, where one can reach its wire.
+def _guarded(
+    motion: "MotionController", spindle: "Spindle", bench: Rig
+) -> "contextlib.AbstractContextManager[Guard | None]":
+    """A supervisor process for the motion, where one can reach its wire; it hears the spindle's alarms, where it can.
 
     Between two signs of life the loop may wait for both wires in turn, as long as the rig file allows: three reports of
     the motion controller, and the drive.
@@ -203,7 +206,9 @@ def _guarded(motion: "MotionController", bench: Rig) -> "contextlib.AbstractCont
     path = motion.stop_path
     reply_s = bench.config.motion.model_dump().get("reply_s", 0.0)
     silence_s = max(SILENCE_S, 3 * reply_s + bench.config.spindle.model_dump().get("heartbeat_s", 0.0))
-    return contextlib.nullcontext() if path is None else Guard(path, bench.clock, silence_s=silence_s)
+    if path is None:
+        return contextlib.nullcontext()
+    return Guard(path, bench.clock, silence_s=silence_s, alarm=spindle.alarm_path)
 
 
 @contextlib.contextmanager

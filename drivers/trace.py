@@ -9,6 +9,8 @@ from drivers.camera.interface import Image
 from drivers.camera.stereo import FrameSource
 from drivers.errors import MillError
 from drivers.motion.transport import SerialLine
+from drivers.spindle.canbus import AlarmedBus
+from drivers.spindle.interface import AlarmPath
 from drivers.trace_file import ERROR, EXTENDED, REMOTE, Trace, frame_text
 
 
@@ -68,6 +70,10 @@ class TracedBus(can.BusABC):
         self._wire = wire
         self.channel_info = bus.channel_info
         super().__init__(channel=bus.channel_info)
+
+    def alarm_path(self, node_id: int) -> AlarmPath | None:
+        """The bus's."""
+        return self._bus.alarm_path(node_id) if isinstance(self._bus, AlarmedBus) else None
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send, then write it down."""

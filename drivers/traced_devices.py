@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from drivers.motion.interface import MotionController, MotionStatus, StopPath, Travel, Vector
-from drivers.spindle.interface import Spindle, SpindleStatus
+from drivers.spindle.interface import AlarmPath, Spindle, SpindleStatus
 from drivers.trace_file import Trace
 
 
@@ -106,6 +106,11 @@ class TracedSpindle(Spindle):
     def heartbeat_s(self) -> float:
         """The spindle's."""
         return self._spindle.heartbeat_s
+
+    @property
+    def alarm_path(self) -> AlarmPath | None:
+        """The spindle's."""
+        return self._spindle.alarm_path
 
     @property
     def answers(self) -> tuple[int, int] | None:

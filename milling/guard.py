@@ -13,6 +13,7 @@ from typing import Self
 from drivers.clock import Clock
 from drivers.errors import DeviceError, DeviceTimeoutError
 from drivers.motion.interface import StopPath
+from drivers.spindle.interface import AlarmPath
 from milling import supervisor
 
 SILENCE_S = 0.55
@@ -24,13 +25,16 @@ LEAVE_S = 2.0
 class Guard:
     """One supervisor process. Open from construction; ``close`` lets it leave in peace."""
 
-    def __init__(self, path: StopPath, clock: Clock, *, silence_s: float = SILENCE_S) -> None:
+    def __init__(
+        self, path: StopPath, clock: Clock, *, silence_s: float = SILENCE_S, alarm: AlarmPath | None = None
+    ) -> None:
         """Start the process and see it watch.
 
         Args:
             path: the motion controller's.
             clock: for the rhythm of the signs of life.
             silence_s: how long the supervisor waits for one.
+            alarm: the spindle's; its wire is read by the supervisor from now on, which stops the motion at an alarm.
 
         Raises:
             DeviceTimeoutError: it does not start.
@@ -39,26 +43,39 @@ class Guard:
         self._beat_at_s = float("-inf")
         script = json.dumps([(data.hex(), wait_s) for data, wait_s in path.script])
         words = [sys.executable, "-I", "-S", supervisor.__file__, str(path.fd), str(silence_s), script]
+        passed = [path.fd]
+        self._alarm = alarm
+        near, far = socket.socketpair()
+        far.setblocking(False)
+        if alarm is not None:
+            words += [str(alarm.fd), str(far.fileno()), alarm.pattern.hex()]
+            passed += [alarm.fd, far.fileno()]
         hears, self._to = os.pipe()
         self._from, says = os.pipe()
         os.set_blocking(self._to, False)
         self._closed = False
         try:
             # A session of its own: what Ctrl-C does to this process must not reach that one.
-            self._process = subprocess.Popen(
-                words, stdin=hears, stdout=says, pass_fds=(path.fd,), start_new_session=True
-            )
+            self._process = subprocess.Popen(words, stdin=hears, stdout=says, pass_fds=passed, start_new_session=True)
         except BaseException:
+            near.close()
             os.close(self._to)
             os.close(self._from)
             raise
         finally:
+            far.close()
             os.close(hears)
             os.close(says)
         self._systemd = _systemd()
         if not select.select([self._from], [], [], START_S)[0] or not os.read(self._from, 64):
             self.close()
+            near.close()
             raise DeviceTimeoutError(f"supervisor: did not start within {START_S:g} s; is the machine overloaded?")
+        if alarm is None:
+            near.close()
+        else:
+            # Once it ends, whyever, the wire is read directly again.
+            alarm.read_through(near.detach())
 
     @property
     def process_id(self) -> int:
@@ -141,7 +158,11 @@ class Guard:
         while select.select([self._from], [], [], LEAVE_S)[0] and (more := os.read(self._from, 4096)):
             said += more
         if said:
-            return f"it has stopped the motion: {said.decode(errors='replace').splitlines()[0]}"
+            why = said.decode(errors="replace").splitlines()[0]
+            name, _, heard = why.partition(" ")
+            if self._alarm is not None and name == supervisor.ALARM:
+                why = self._alarm.words(bytes.fromhex(heard))
+            return f"it has stopped the motion: {why}"
         return "its process has ended; end what ended it, and start the run again"
 
 

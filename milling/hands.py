@@ -22,6 +22,8 @@ _POLL_S = 0.02
 _BEAT_S = 0.005
 _SPEED_SHARE = 0.15
 _STANDSTILL_RPM = 100.0
+SLOWS_WITHIN_S = 0.5
+"""A drill that was told to stop loses speed at least so often."""
 LATE_S = 0.05
 
 
@@ -232,6 +234,9 @@ class Hands:
         """React to what is latched. Whatever fails on the way, both stops are tried; never raises a device's error."""
         self.recorder.event("latched", reaction=latch.reaction.name, reason=latch.reason)
         if latch.reaction is not Reaction.KILL:
+            # Where the supervisor has stopped the motion as well, this waits until it is done: never both at a time.
+            with contextlib.suppress(DeviceError):
+                self._live()
             try:
                 if latch.reaction is Reaction.HOLD:
                     self.lift(LIFT_MM)
@@ -255,7 +260,7 @@ class Hands:
         """
         self.speed_rpm = 0.0
         self.spindle.stop()
-        self.spindle.wait_until_at_speed(timeout_s)
+        self._see_it_stand(timeout_s)
         self.recorder.event("spindle", state="off, confirmed")
 
     def kill(self) -> None:
@@ -269,11 +274,32 @@ class Hands:
             except (DeviceError, OSError) as error:
                 self.recorder.event("error", where=f"stop {name}", reason=str(error))
         try:
-            self.spindle.wait_until_at_speed(2.0)
+            self._see_it_stand(2.0)
         except (DeviceError, OSError) as error:
             self.recorder.event("spindle", state="off, NOT confirmed", reason=str(error))
         else:
             self.recorder.event("spindle", state="off, confirmed")
+
+
+    def _see_it_stand(self, timeout_s: float) -> None:
+        """Wait for standstill, as long as the drill slows down; one that does not is not waited for.
+
+        Raises:
+            DeviceError: it turns on, does not stand in time, or the drive is silent.
+        """
+        start_s = slowed_s = self.clock.now_s()
+        lowest_rpm = float("inf")
+        while (speed_rpm := abs(self.spindle.status().speed_rpm)) > _STANDSTILL_RPM:
+            now_s = self.clock.now_s()
+            if speed_rpm < lowest_rpm - _STANDSTILL_RPM:
+                lowest_rpm, slowed_s = speed_rpm, now_s
+            if now_s - slowed_s > SLOWS_WITHIN_S or now_s - start_s > timeout_s:
+                raise DeviceError(
+                    f"spindle: told to stop {now_s - start_s:.1f} s ago and still at {speed_rpm:.0f} rpm; use the "
+                    "emergency stop"
+                )
+            self.clock.sleep_s(_BEAT_S)
+        self.spindle.wait_until_at_speed(timeout_s)
 
 
 def distance_mm(a: Vector, b: Vector) -> float:

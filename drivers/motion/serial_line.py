@@ -27,6 +27,7 @@ class PortLine:
         self._port = port
         self._lock = lock
         self._fd = port.fileno()
+        self._through: int | None = None
         self._open = True
 
     @property
@@ -43,6 +44,11 @@ class PortLine:
         """Tell a USB adapter that can do so to hold no short replies back; a pty has no such mode."""
         with contextlib.suppress(OSError, ValueError, NotImplementedError):
             self._port.set_low_latency_mode(True)
+
+    def read_through(self, file: int) -> None:
+        """Read what another process, which reads the wire, hands on; the wire itself again once it hands on no more."""
+        self._hear_directly()
+        self._through = file
 
     def write(self, data: bytes) -> None:
         """Put bytes on the wire; a wire that takes none for 0.2 s is gone."""
@@ -61,15 +67,19 @@ class PortLine:
     def read(self, timeout_s: float) -> bytes:
         """Whatever has arrived, waiting up to ``timeout_s`` for the first byte."""
         self._require_open()
+        file = self._fd if self._through is None else self._through
         try:
-            if not select.select([self._fd], [], [], max(0.0, timeout_s))[0]:
+            if not select.select([file], [], [], max(0.0, timeout_s))[0]:
                 return b""
-            data = os.read(self._fd, _CHUNK)
+            data = os.read(file, _CHUNK)
         except BlockingIOError:
             return b""
         except (OSError, ValueError) as error:
             self._require_open()
             raise self._gone(error) from error
+        if not data and file == self._through:
+            self._hear_directly()
+            return b""
         if not data:
             # Readable without a byte is how a pty and a pulled USB adapter say that nobody is there.
             raise self._gone(OSError(errno.EIO, "end of file"))
@@ -80,9 +90,15 @@ class PortLine:
         if self._open:
             self._open = False
             try:
+                self._hear_directly()
                 self._port.close()
             finally:
                 self._lock.release()
+
+    def _hear_directly(self) -> None:
+        if self._through is not None:
+            os.close(self._through)
+            self._through = None
 
     def _require_open(self) -> None:
         if not self._open:

@@ -1,6 +1,6 @@
 """The wires as the motion drivers see them: bytes in order, or datagrams."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 
 class SerialLine(Protocol):
@@ -30,6 +30,14 @@ class SerialLine(Protocol):
 
     def close(self) -> None:
         """Give the line back; a second call does nothing."""
+
+
+@runtime_checkable
+class SharedLine(SerialLine, Protocol):
+    """A line whose incoming bytes another process may see first."""
+
+    def read_through(self, file: int) -> None:
+        """Read from this open file, which is the line's own from here on, until it ends; then from the wire again."""
 
 
 class DatagramLine(Protocol):

@@ -8,13 +8,17 @@ refused.
 import contextlib
 import re
 from collections import deque
+from typing import Protocol, runtime_checkable
 
 import can
 from can.interfaces.socketcan import SocketcanBus
 
 from drivers.errors import ConfigError, ConnectionLostError
 from drivers.lock import DeviceLock, can_device
-from drivers.motion.transport import SerialLine
+from drivers.motion.transport import SerialLine, SharedLine
+from drivers.spindle import emergency
+from drivers.spindle.canopen_node import EMERGENCY_ID
+from drivers.spindle.interface import AlarmPath
 
 SLCAN_BAUD = 115_200
 """USB adapters take any; LAWICEL's own serial ones are set to this with their U command."""
@@ -98,6 +102,14 @@ class _OwnedSocketcanBus(SocketcanBus):
         self._lock.release()
 
 
+@runtime_checkable
+class AlarmedBus(Protocol):
+    """A bus that another process may read along."""
+
+    def alarm_path(self, node_id: int) -> AlarmPath | None:
+        """How the emergencies of a node look on its wire."""
+
+
 class SlcanBus(can.BusABC):
     """A LAWICEL adapter on a serial line. One reader; ``send`` from any thread."""
 
@@ -144,6 +156,23 @@ class SlcanBus(can.BusABC):
             self._take(self._line.read(3600.0 if timeout is None else timeout))
             message = self._next_message()
         return message
+
+    def alarm_path(self, node_id: int) -> AlarmPath | None:
+        """How a node's EMCY frames look on the wire (CiA 301: the code, its low byte first); "errors are gone" is none.
+
+        None where no other process can read along.
+        """
+        line = self._line
+        if line.descriptor is None or not isinstance(line, SharedLine):
+            return None
+        head, digit = b"t%03X8" % (EMERGENCY_ID + node_id), rb"[0-9A-Fa-f]"
+        pattern = rb"(?:^|[\r\a])%b%b{2}(?!00)%b{14}(?:%b{4})?\r" % (head, digit, digit, digit)
+
+        def words(found: bytes) -> str:
+            low, high = bytes.fromhex(found.lstrip(b"\r\a")[len(head) : len(head) + 4].decode())
+            return f"{self.channel_info}: the drive's emergency, {emergency.words(high << 8 | low)}"
+
+        return AlarmPath(line.descriptor, pattern, words, line.read_through)
 
     def shutdown(self) -> None:
         """Close the channel and the line; a second call does nothing."""

@@ -18,6 +18,7 @@ from drivers.errors import (
     DeviceTimeoutError,
 )
 from drivers.spindle import emergency
+from drivers.spindle.canbus import AlarmedBus
 from drivers.spindle.canopen_node import (
     HEARTBEAT_ID,
     HOST_NODE_ID,
@@ -42,7 +43,7 @@ from drivers.spindle.cia402_profile import (
     DriveState,
 )
 from drivers.spindle.cia402_setup import COMMAND_LAYOUT, REPORT_LAYOUT, set_up_drive, watch_host
-from drivers.spindle.interface import SILENT_AFTER, Spindle, SpindleStatus
+from drivers.spindle.interface import SILENT_AFTER, AlarmPath, Spindle, SpindleStatus
 
 _TRANSITION_S = 1.0
 _STANDSTILL_S = 3.0
@@ -113,6 +114,11 @@ class Cia402Spindle(Spindle):
     def heartbeat_s(self) -> float:
         """The longest silence of the host that leaves the drill turning."""
         return self._heartbeat_s
+
+    @property
+    def alarm_path(self) -> AlarmPath | None:
+        """Its EMCY frames, where the adapter is on a serial port."""
+        return self._bus.alarm_path(self._node.node_id) if isinstance(self._bus, AlarmedBus) else None
 
     @property
     def answers(self) -> tuple[int, int]:

@@ -1,6 +1,7 @@
 """What every spindle promises."""
 
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.device import Device
@@ -9,6 +10,23 @@ from drivers.errors import DeviceFaultError
 SILENT_AFTER = 0.8
 """A drive that says nothing for this share of the heartbeat's time while it is asked is silent: the host gives up
 before the drive does."""
+
+
+@dataclass(frozen=True)
+class AlarmPath:
+    """How another process, which knows no make, hears a drive cry out: a wire to read along, and what a cry looks like.
+
+    That process reads ``fd`` and hands every byte on to the file that the driver was told to ``read_through``; when
+    that file ends, the driver reads its wire itself again.
+    """
+
+    fd: int
+    pattern: bytes
+    """A regular expression over bytes, of at most 64 of them, that ends with the cry's last byte."""
+    words: Callable[[bytes], str]
+    """What was found, as a person reads it."""
+    read_through: Callable[[int], None]
+    """Takes over a file descriptor."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +73,11 @@ class Spindle(Device):
     @property
     def answers(self) -> tuple[int, int] | None:
         """How often the drive was asked since opening, and how often it answered; None where the wire tells neither."""
+        return None
+
+    @property
+    def alarm_path(self) -> AlarmPath | None:
+        """For a supervisor; None where the drive says nothing unasked, or no other process can read its wire."""
         return None
 
     def past_faults(self) -> list[str]:

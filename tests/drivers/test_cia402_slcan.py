@@ -1,15 +1,20 @@
 """The LAWICEL side of the bus: bytes typed from the CANUSB and CAN232 manuals, both ways."""
 
 import os
+import re
 from collections import deque
 from pathlib import Path
 
 import can
 import pytest
 
+from drivers.clock import SystemClock
 from drivers.errors import ConfigError, ConnectionLostError, DeviceBusyError
 from drivers.lock import DeviceLock
 from drivers.spindle.canbus import SlcanBus, open_bus
+from drivers.trace import TracedBus
+from drivers.trace_file import Trace
+from milling.supervisor import LONGEST_ALARM
 
 CR, BEL = b"\r", b"\a"
 
@@ -18,6 +23,7 @@ class ScriptedLine:
     """A serial line that answers each command by a table, and hands out at most ``piece`` bytes at a time."""
 
     name = "/dev/mill-spindle"
+    descriptor: int | None = None
 
     def __init__(self, answers: dict[bytes, bytes] | None = None, piece: int = 1000) -> None:
         self.answers = {b"\r\r\rC\r": b"\r\r\r\r", b"S8\r": CR, b"O\r": CR, **(answers or {})}
@@ -191,3 +197,57 @@ def test_unknown_interfaces_and_bit_rates_are_refused() -> None:
         open_bus("pcan", "x", 1_000_000)
     with pytest.raises(ConfigError, match="750000 is not one of 10000, 20000"):
         open_bus("slcan", "/dev/null", 750_000)
+
+
+# --- what a supervisor listens for
+
+
+class ReachableLine(ScriptedLine):
+    """A line that another process may read along."""
+
+    descriptor = 7
+
+    def read_through(self, file: int) -> None:
+        self.through = file
+
+
+@pytest.mark.parametrize(
+    ("said", "alarm"),
+    [
+        # EMCY: identifier 080h + node, code with its low byte first, error register, maker's field (CiA 301).
+        (b"t08381023010000000000\r", "0x2310 continuous over-current at the output"),
+        (b"z\rt083830810100000000001234\r", "0x8130 the host's heartbeat stayed away"),
+        (b"\at083844ff010000000000\r", "0xFF44 additional function or maker's own error"),
+        (b"t08380000000000000000\r", None),
+        (b"t08380100000000000000\r", None),
+        (b"t08481023010000000000\r", None),
+        (b"t08371023010000000000\r", None),
+        (b"T0000008381023010000000000\r", None),
+        (b"t18381023010000000000\r", None),
+        (b"t08381023010000000000", None),
+    ],
+)
+def test_an_emergency_of_the_node_is_an_alarm(said: bytes, alarm: str | None) -> None:
+    path = SlcanBus(ReachableLine(), 1_000_000).alarm_path(3)
+    assert path is not None
+    found = re.search(path.pattern, said)
+    assert (None if found is None else path.words(found[0])) == (
+        alarm and f"slcan on /dev/mill-spindle: the drive's emergency, {alarm}"
+    )
+
+
+def test_a_longest_alarm_fits_what_the_supervisor_remembers() -> None:
+    assert len(b"\rt08381023010000000000FFFF\r") < LONGEST_ALARM
+
+
+def test_the_bus_is_read_through_its_line_also_when_it_is_traced(tmp_path: Path) -> None:
+    line = ReachableLine()
+    with Trace(tmp_path / "trace.jsonl", SystemClock(), {}) as trace:
+        path = TracedBus(SlcanBus(line, 1_000_000), trace, "spindle").alarm_path(3)
+        assert path is not None
+        path.read_through(5)
+        assert (path.fd, line.through) == (7, 5)
+
+
+def test_a_line_that_nobody_else_can_read_has_no_alarm_path() -> None:
+    assert SlcanBus(ScriptedLine(), 1_000_000).alarm_path(3) is None

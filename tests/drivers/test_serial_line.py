@@ -39,6 +39,36 @@ def test_bytes_go_both_ways(pty: tuple[int, str]) -> None:
     line.close()
 
 
+def test_what_another_process_hands_on_is_read_until_it_hands_on_no_more(pty: tuple[int, str]) -> None:
+    master, path = pty
+    line = open_serial(path, 115_200)
+    hears, hands_on = os.pipe()
+    line.read_through(hears)
+    os.write(master, b"from the wire")
+    assert line.read(0.0) == b""
+    os.write(hands_on, b"handed on")
+    assert line.read(1.0) == b"handed on"
+    os.write(hands_on, b"at last")
+    os.close(hands_on)
+    assert line.read(1.0) == b"at last"
+    assert line.read(1.0) == b""
+    assert line.read(1.0) == b"from the wire"
+    line.close()
+
+
+def test_one_who_hands_on_replaces_another_and_closing_forgets_both(pty: tuple[int, str]) -> None:
+    line = open_serial(pty[1], 115_200)
+    first, second = os.pipe(), os.pipe()
+    line.read_through(first[0])
+    line.read_through(second[0])
+    line.close()
+    for hears in (first[0], second[0]):
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(hears)
+    os.close(first[1])
+    os.close(second[1])
+
+
 def test_a_second_opening_names_the_first(pty: tuple[int, str]) -> None:
     _, path = pty
     line = open_serial(path, 115_200)

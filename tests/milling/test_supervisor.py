@@ -9,6 +9,7 @@ import sys
 import threading
 import tty
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ import pytest
 from drivers.clock import SystemClock
 from drivers.errors import DeviceError
 from drivers.motion.interface import StopPath
+from drivers.spindle.interface import AlarmPath
 from milling import supervisor
 from milling.guard import Guard
 
@@ -242,6 +244,168 @@ def test_it_needs_nothing_but_the_standard_library() -> None:
     assert {name.partition(".")[0] for name in names} <= sys.stdlib_module_names
 
 
+# A device's wire, read along.
+
+CRY = rb"(?:^|[\r])t081[0-9A-F]+\r"
+
+
+@dataclass
+class Device:
+    """A device's wire, read along by the supervisor, and what it hands on."""
+
+    tap: supervisor.Tap
+    far: int
+    handed: int
+
+    def heard(self) -> bytes:
+        """What was handed on so far."""
+        return os.read(self.handed, 1 << 20) if select.select([self.handed], [], [], 0.0)[0] else b""
+
+
+@pytest.fixture
+def device() -> Iterator[Device]:
+    wire, far = os.pipe()
+    handed, onward = os.pipe()
+    os.set_blocking(onward, False)
+    yield Device(supervisor.Tap(wire, onward, CRY), far, handed)
+    for end in (wire, far, handed, onward):
+        with contextlib.suppress(OSError):
+            os.close(end)
+
+
+def watched_with(device: Device, port: int, speaks: int, words: str, *, silence_s: float = 5.0) -> str:
+    os.write(speaks, lines(words))
+    return supervisor.watch(port, silence_s, SCRIPT, device.tap)
+
+
+def says_when_handed_on(monkeypatch: pytest.MonkeyPatch, device: Device, speaks: int, then: list[bytes]) -> None:
+    """Each time bytes are handed on, the next of ``then`` is said to the supervisor."""
+    hand_on = supervisor.Tap.hand_on
+
+    def told(tap: supervisor.Tap, data: bytes) -> None:
+        hand_on(tap, data)
+        if then:
+            os.write(speaks, then.pop(0))
+
+    monkeypatch.setattr(supervisor.Tap, "hand_on", told)
+
+
+def test_every_byte_is_handed_on_and_what_is_no_alarm_stops_nothing(
+    wire, said, device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near, far = wire
+    says_when_handed_on(monkeypatch, device, said, [b"D\nQ\n"])
+    os.write(device.far, b"t701105\rt1816")
+    assert watched_with(device, near, said, "A") == ""
+    assert device.heard() == b"t701105\rt1816"
+    assert written(far) == b""
+
+
+def test_an_alarm_holds_first_then_says_so_then_is_handed_on(
+    wire, said, told, device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near, _ = wire
+    order: list[object] = []
+    monkeypatch.setattr(supervisor, "_tell", lambda why: order.append((why, written(wire[1]), device.heard())))
+    monkeypatch.setattr(supervisor.time, "sleep", lambda _: order.append(device.heard()))
+    says_when_handed_on(monkeypatch, device, said, [])
+    os.write(said, b"A\n")
+    arm_first(monkeypatch)
+    os.write(device.far, b"t701105\rt0811023\r")
+    why = f"alarm {bytes([13]).hex()}{b't0811023'.hex()}{bytes([13]).hex()}"
+    assert supervisor.watch(near, 5.0, SCRIPT, device.tap) == why
+    assert order[0] == (why, b"!", b"")
+    assert order[1] == b"t701105\rt0811023\r"
+
+
+def arm_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The supervisor sees its pipe before it sees the wire, as where the alarm comes later."""
+    choose, looks = select.select, []
+
+    def pipe_first(reads: list[int], *rest: object) -> tuple[list[int], list[int], list[int]]:
+        looks.append(reads)
+        return choose(reads[:1] if len(looks) == 1 else reads, *rest)  # type: ignore[arg-type, call-overload]
+
+    monkeypatch.setattr(supervisor.select, "select", pipe_first)
+
+
+def test_an_alarm_in_pieces_is_one(wire, said, device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    near, far = wire
+    arm_first(monkeypatch)
+    hand_on = supervisor.Tap.hand_on
+
+    def the_rest(tap: supervisor.Tap, data: bytes) -> None:
+        hand_on(tap, data)
+        if data == b"t0811":
+            os.write(device.far, b"023\r")
+
+    monkeypatch.setattr(supervisor.Tap, "hand_on", the_rest)
+    os.write(device.far, b"t0811")
+    assert watched_with(device, near, said, "A") == f"alarm {b't0811023'.hex()}0d"
+    monkeypatch.undo()
+    assert stopped(far)
+    assert device.heard() == b"t0811023\r"
+
+
+def test_an_alarm_while_the_drill_is_out_of_the_bone_is_handed_on_and_never_counts_later(
+    wire, said, device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near, far = wire
+    says_when_handed_on(monkeypatch, device, said, [b"A\n", b"D\nQ\n"])
+    hand_on = supervisor.Tap.hand_on
+
+    def another(tap: supervisor.Tap, data: bytes) -> None:
+        hand_on(tap, data)
+        if data.startswith(b"t081"):
+            os.write(device.far, b"t701105\r")
+
+    monkeypatch.setattr(supervisor.Tap, "hand_on", another)
+    os.write(device.far, b"t0811023\r")
+    assert supervisor.watch(near, 5.0, SCRIPT, device.tap) == ""
+    assert device.heard() == b"t0811023\rt701105\r"
+    assert written(far) == b""
+
+
+def test_a_wire_that_is_gone_is_given_back_and_the_watch_goes_on(wire, said, device: Device) -> None:
+    near, far = wire
+    os.close(device.far)
+    assert watched_with(device, near, said, "A", silence_s=0.02).startswith("no sign of life")
+    # The end of what is handed on, and not merely nothing.
+    assert select.select([device.handed], [], [], 0.0)[0]
+    assert device.heard() == b""
+    assert stopped(far)
+
+
+def test_a_wire_that_fails_is_gone(device: Device) -> None:
+    os.close(device.tap.wire)
+    assert device.tap.read() == b""
+
+
+def test_a_wire_that_is_never_silent_does_not_hide_that_the_process_that_mills_is(
+    wire, said, device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near, far = wire
+    hand_on = supervisor.Tap.hand_on
+
+    def ever_more(tap: supervisor.Tap, data: bytes) -> None:
+        hand_on(tap, data)
+        os.write(device.far, b"t701105\r")
+
+    monkeypatch.setattr(supervisor.Tap, "hand_on", ever_more)
+    os.write(device.far, b"t701105\r")
+    assert watched_with(device, near, said, "A", silence_s=0.02).startswith("no sign of life")
+    assert stopped(far)
+
+
+def test_who_does_not_read_what_is_handed_on_holds_nothing_up(wire, said, device: Device) -> None:
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            device.tap.hand_on(bytes(4096))
+            os.write(device.tap._onward, bytes(4096))
+    device.tap.hand_on(b"t701105\r")
+    assert watched_with(device, wire[0], said, "AQ") == ""
+
+
 # As a process of its own.
 
 
@@ -302,6 +466,48 @@ def test_a_frozen_process_is_stopped_within_its_silence(wire) -> None:
             started.beat()
 
 
+@dataclass
+class Drive:
+    """What a spindle driver gives a supervisor, on a wire of its own."""
+
+    path: AlarmPath
+    far: int
+    through: list[int]
+
+
+@pytest.fixture
+def drive() -> Iterator[Drive]:
+    far, near = pty.openpty()
+    tty.setraw(near)
+    through: list[int] = []
+    yield Drive(AlarmPath(near, CRY, lambda found: f"the drive says {found!r}", through.append), far, through)
+    for end in (far, near, *through):
+        os.close(end)
+
+
+def test_an_alarm_of_a_drive_stops_the_motion_in_words(wire, drive: Drive) -> None:
+    near, far = wire
+    with Guard(StopPath(near, SCRIPT), SystemClock(), silence_s=30.0, alarm=drive.path) as started:
+        started.arm()
+        os.write(drive.far, b"t701105\r")
+        assert os.read(drive.through[0], 64) == b"t701105\r"
+        os.write(drive.far, b"t0811023\r")
+        assert stopped(far)
+        with pytest.raises(DeviceError, match=r"it has stopped the motion: the drive says b'.rt0811023"):
+            started.beat()
+        assert os.read(drive.through[0], 64) == b"t0811023\r"
+    assert os.read(drive.through[0], 64) == b""
+
+
+def test_other_reasons_are_told_as_they_are_where_a_drive_may_cry_out(wire, drive: Drive) -> None:
+    near, far = wire
+    with Guard(StopPath(near, SCRIPT), SystemClock(), silence_s=30.0, alarm=drive.path) as started:
+        started.stop()
+        assert stopped(far)
+        with pytest.raises(DeviceError, match="it has stopped the motion: told to stop"):
+            started.disarm()
+
+
 def test_words_it_does_not_know_change_nothing(wire: tuple[int, int], said: int) -> None:
     assert watched(wire[0], said, "A?!") == "told to stop"
 
@@ -351,6 +557,24 @@ def test_it_asks_for_a_good_place_and_watches_without_one(
     itself = 0
     assert asked == [(itself, os.SCHED_FIFO), (os.PRIO_PROCESS, itself)]
     assert stopped(wire[1])
+    assert os.read(reads, 64) == b"watching\n"
+    for end in (reads, tells):
+        os.close(end)
+
+
+def test_the_wire_of_a_device_is_an_argument(
+    wire: tuple[int, int], said: int, device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reads, tells = os.pipe()
+    monkeypatch.setattr(supervisor, "STDOUT", tells)
+    monkeypatch.setattr(supervisor.os, "sched_setscheduler", lambda *_: None)
+    monkeypatch.setattr(supervisor.os, "setpriority", lambda *_: None)
+    words = ["supervisor.py", str(wire[0]), "5.0", "[]", str(device.tap.wire), str(device.tap._onward), CRY.hex()]
+    monkeypatch.setattr(sys, "argv", words)
+    arm_first(monkeypatch)
+    os.write(said, b"A\n")
+    os.write(device.far, b"t0811\r")
+    supervisor.main()
     assert os.read(reads, 64) == b"watching\n"
     for end in (reads, tells):
         os.close(end)

@@ -1,0 +1,105 @@
+"""How hands make a machine safe, on a bench with its real drivers on in-process wires."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from drivers.errors import DeviceError
+from drivers.recorder import NullRecorder
+from firmware_sim.bench import Bench
+from firmware_sim.clock import SimClock
+from firmware_sim.faults import parse_fault
+from firmware_sim.specimen import draw_specimen
+from milling.hands import RETRACT_MM, Hands
+from milling.latch import Latch, Reaction
+from studies.virtual_runs import SIZE_PX, opened
+
+ABOVE_MM = (0.0, 0.0, 8.0)
+RPM = 45_000.0
+
+
+def dark(_time_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Nobody looks here."""
+    picture = np.zeros((SIZE_PX[1], SIZE_PX[0], 3), np.uint8)
+    return picture, picture
+
+
+@dataclass
+class At:
+    """Hands over a bench, the drill turning in the air."""
+
+    hands: Hands
+    bench: Bench
+    clock: SimClock
+
+
+@pytest.fixture
+def at() -> Iterator[At]:
+    bench, clock = Bench(draw_specimen(900)), SimClock()
+    with opened(bench, clock, render=dark) as rig:
+        hands = Hands(rig.motion, rig.spindle, clock, NullRecorder(), lambda: False)
+        rig.motion.home()
+        hands.go_high(ABOVE_MM, ABOVE_MM[2])
+        hands.start_spindle(RPM)
+        yield At(hands, bench, clock)
+
+
+def test_a_retract_lifts_first_and_then_stops_the_drill(at: At) -> None:
+    began_s, z = at.clock.now_s(), at.bench.machine.tip_mm[2]
+    latch = at.hands.make_safe(Latch(Reaction.RETRACT, "for a test"))
+    assert latch.reaction is Reaction.RETRACT
+    assert at.bench.machine.tip_mm[2] == pytest.approx(z + RETRACT_MM, abs=0.02)
+    assert abs(at.bench.machine.spindle_rpm) < 100.0
+    assert at.clock.now_s() - began_s < 2.0
+
+
+def test_a_drill_that_does_not_obey_is_told_within_two_seconds_and_not_waited_for(at: At) -> None:
+    at.bench.plant([parse_fault("spindle.starts_by_itself")])
+    at.hands.watch(0.02)
+    began_s = at.clock.now_s()
+    latch = at.hands.make_safe(Latch(Reaction.RETRACT, "for a test"))
+    assert latch.reaction is Reaction.KILL
+    assert at.clock.now_s() - began_s < 2.0
+    with pytest.raises(DeviceError, match=r"told to stop 0\.5 s ago and still at \d+ rpm; use the emergency stop"):
+        at.hands.stop_spindle()
+
+
+@dataclass
+class Fired:
+    """A supervisor that has stopped the motion, and says so when it is done."""
+
+    bench: Bench
+    clock: SimClock
+    order: list[str] = field(default_factory=list)
+
+    def beat(self) -> None:
+        self.clock.sleep_s(0.3)
+        self.order.append(f"done at z = {self.bench.machine.tip_mm[2]:.2f}")
+        raise DeviceError("supervisor: it has stopped the motion: the drive's emergency")
+
+    def arm(self) -> None:
+        self.order.append("armed")
+
+    def disarm(self) -> None:
+        self.order.append("disarmed")
+
+
+def test_a_retract_waits_for_a_supervisor_that_is_at_it_and_asks_it_nothing_more(at: At) -> None:
+    z = at.bench.machine.tip_mm[2]
+    guard = Fired(at.bench, at.clock)
+    at.hands.into_the_bone()
+    at.hands.guard = guard
+    latch = at.hands.make_safe(Latch(Reaction.RETRACT, "for a test"))
+    assert latch.reaction is Reaction.RETRACT
+    assert guard.order == [f"done at z = {z:.2f}"]
+    assert at.bench.machine.tip_mm[2] == pytest.approx(z + RETRACT_MM, abs=0.02)
+
+
+def test_a_kill_waits_for_nobody(at: At) -> None:
+    guard = Fired(at.bench, at.clock)
+    at.hands.guard = guard
+    at.hands.make_safe(Latch(Reaction.KILL, "for a test"))
+    assert guard.order == ["disarmed"]
+    assert abs(at.bench.machine.spindle_rpm) < 100.0
