@@ -280,7 +280,6 @@ class Hands:
         else:
             self.recorder.event("spindle", state="off, confirmed")
 
-
     def _see_it_stand(self, timeout_s: float) -> None:
         """Wait for standstill, as long as the drill slows down; one that does not is not waited for.
 

@@ -62,7 +62,7 @@ def mill_one(world: World, policy: PolicyName, faults: Sequence[str], statistica
     log: list[Readings] = []
 
     def finders(clock: SimClock) -> loop.Finders:
-        found = networks(clock) if eyes is None else loop.Finders(eyes.find_tip, eyes.find_landmarks, eyes, eyes.match)
+        found = networks(clock) if eyes is None else eyes.finders()
         reader: CompletionReader = found.completion
         if eyes is None and keep is not None and policy == "default" and not faults:
             reader = _Logged(reader, bench, log)

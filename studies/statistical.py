@@ -18,6 +18,7 @@ import numpy.typing as npt
 from firmware_sim.bench import Bench
 from firmware_sim.optics import draw_eyes
 from firmware_sim.skull import smooth_noise
+from milling.equipment import Finders
 from studies.perception import Donor
 from studies.ring_truth import RingTruth
 from studies.virtual_runs import SIZE_PX
@@ -67,6 +68,10 @@ class NumberEyes:
             for eye in self._eyes
         ]
         self._ring: RingTruth | None = None
+
+    def finders(self) -> Finders:
+        """All of it, as a run is given it."""
+        return Finders(self.find_tip, self.find_landmarks, self, self.match)
 
     # What stands where the cameras are.
 

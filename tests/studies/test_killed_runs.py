@@ -1,15 +1,18 @@
 """What a study of kills tells, and how it tears a record."""
 
+import json
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
 
-from studies.killed_runs import _tear, summary
+from studies.killed_runs import _tear, grow_mouse, summary
 
 
 def kill(**told: object) -> dict[str, object]:
     return {
-        "standstill_s": 0.1, "lower_mm": 0.0, "spindle_off_s": 0.2, "spindle_stands_s": 0.5, "events_lost": 0,
+        "standstill_s": 0.1, "lower_mm": 0.0, "overrun_mm": 0.0, "spindle_off_s": 0.2, "spindle_stands_s": 0.5, "events_lost": 0,
         "resumed": True, "outcome": "complete", "reason": "", "flap_free": True, "membrane_touched": False, **told,
     }  # fmt: skip
 
@@ -38,3 +41,29 @@ def test_a_torn_line_is_the_last_one_and_something_of_it_is_left(tmp_path: Path,
     left = file.read_bytes()
     assert left.startswith(b"first line\ns")
     assert len(left) < len(b"first line\nsecond line\n")
+
+
+AT_LEAST, ASKED = 60, 75
+"""A run that ends sooner than usual is killed less often."""
+
+
+def test_sixty_kills_of_a_window_leave_a_tip_that_stands_a_drill_that_is_off_and_a_record_that_opens(
+    tmp_path: Path,
+) -> None:
+    # In a process of its own: what is forked must not hold the threads of other tests.
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        grown = pool.submit(grow_mouse, 71, tmp_path, ASKED, statistical=True).result()
+    assert grown >= AT_LEAST
+    assert list(tmp_path.glob("*.error")) == []
+    kills = [json.loads(file.read_text()) for file in tmp_path.glob("kill-*.json")]
+    figures = summary(kills)
+    assert figures["kills"] == grown
+    assert figures["standstill_s_worst"] <= 0.25
+    # The queue runs out along a lap's path, which may slope, and at depths that were permitted.
+    assert figures["overrun_um_worst"] <= 10.0
+    assert figures["spindle_off_s_worst"] <= 0.3
+    assert figures["events_lost_most"] <= 1
+    assert figures["membranes_touched"] == 0
+    assert figures["resumable"] + figures["refused"] == grown
+    assert figures["resumable"] > grown / 2
+    assert all(kill["reason"] for kill in kills if kill["outcome"] == "refused")
