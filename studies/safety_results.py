@@ -54,6 +54,7 @@ def killed_runs(result: Figures) -> list[str]:
         "|---|---|",
         f"| the tip stands after | {1e3 * result['standstill_s_worst']:.0f} ms |",
         f"| the tip goes lower meanwhile by | {result['lower_um_worst']:.0f} um |",
+        f"| below what was permitted, commanded path between points included | {result['overrun_um_worst']:.0f} um |",
         f"| the drive is off after | {1e3 * result['spindle_off_s_worst']:.0f} ms |",
         f"| the drill stands after | {1e3 * result['spindle_stands_s_worst']:.0f} ms |",
         f"| events lost | {result['events_lost_most']} |",

@@ -12,7 +12,8 @@ from studies.killed_runs import _tear, grow_mouse, summary
 
 def kill(**told: object) -> dict[str, object]:
     return {
-        "standstill_s": 0.1, "lower_mm": 0.0, "overrun_mm": 0.0, "spindle_off_s": 0.2, "spindle_stands_s": 0.5, "events_lost": 0,
+        "standstill_s": 0.1, "lower_mm": 0.0, "overrun_mm": 0.0, "spindle_off_s": 0.2, "spindle_stands_s": 0.5,
+        "events_lost": 0,
         "resumed": True, "outcome": "complete", "reason": "", "flap_free": True, "membrane_touched": False, **told,
     }  # fmt: skip
 
