@@ -156,7 +156,7 @@ class Bench:
         if self.spindle != "cia402" and (lost := [fault for fault in faults if fault.name.startswith("can.")]):
             raise ConfigError(f"fault {lost[0]}: a bench with a {self.spindle} spindle has no CAN bus")
         self._sabotage = Sabotage(self, tuple(faults), seed=self.specimen.seed)
-        self.can.carries = self._sabotage.carries
+        self.can.carried = self._sabotage.carried
 
     @cached_property
     def microscope(self) -> Microscope:

@@ -57,8 +57,8 @@ class CanWire:
         self._free_at_s = 0.0
         self._pending: list[tuple[Frame, object]] = []
         self._on_the_way: tuple[float, Frame, object] | None = None
-        self.carries: Callable[[Frame, bool], bool] = lambda _frame, _from_node: True
-        """Whether a frame, of a node or of a host, arrives anywhere; on a healthy bus all do."""
+        self.carried: Callable[[Frame, bool], Frame | None] = lambda frame, _from_node: frame
+        """What arrives of a frame, of a node or of a host; None where it is lost. On a healthy bus all arrive."""
 
     def open_port(self) -> CanPort:
         """Join the wire as a host; hears everything from now on."""
@@ -102,14 +102,15 @@ class CanWire:
             self._pending.extend((frame, node) for frame in node.transmit())
 
     def _deliver(self, arrival_s: float, frame: Frame, sender: object) -> None:
-        if not self.carries(frame, sender in self._nodes):
+        arrived = self.carried(frame, sender in self._nodes)
+        if arrived is None:
             return
         for node in self._nodes:
             if node is not sender:
-                node.receive(*frame)
+                node.receive(*arrived)
         for port in self._ports:
             if port is not sender:
-                port.heard.append((arrival_s, frame))
+                port.heard.append((arrival_s, arrived))
 
 
 def as_wire(nodes: CanNode | CanWire | Sequence[CanNode]) -> CanWire:

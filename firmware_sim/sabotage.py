@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from drivers.errors import ConfigError
 from firmware_sim.bcap_controller import RcController
@@ -28,6 +29,9 @@ TURNING_RPM: Final = 1000.0
 """Above this the drill turns, and the faults' time runs."""
 OVERSPEED: Final = 1.5
 PX_PER_MM: Final = 25.4
+GLARE_PX: Final = 45
+"""Radius of a reflection, and from the middle of the picture to its own."""
+SLICE_S: Final = 0.004
 _HISTORY_S: Final = 6.0
 _BLUR_PX: Final = 6.0
 
@@ -57,6 +61,8 @@ class Sabotage:
         self._late: deque[tuple[float, bytes]] = deque()
         self._shots: deque[tuple[float, Image, Image]] = deque()
         self._stuck: tuple[Image, Image] | None = None
+        self._before: tuple[Image, Image] | None = None
+        """The pictures before these, where they are torn."""
         self.now_s = 0.0
         self.advance_to(0.0)
 
@@ -97,8 +103,15 @@ class Sabotage:
     def to_host(self, data: bytes) -> bytes:
         """What of the board's bytes reaches the host by now."""
         data = self._damaged(data)
+        late_s = self._value("serial.latency")
+        if data and "serial.slice" in self._begun:
+            cut = int(self._rng.integers(len(data) + 1))
+            self._late.append((self.now_s + late_s, data[:cut]))
+            late_s, data = late_s + SLICE_S, data[cut:]
         if data:
-            self._late.append((self.now_s + self._value("serial.latency"), data))
+            # What was sent later never overtakes.
+            earliest_s = self._late[-1][0] if self._late else 0.0
+            self._late.append((max(self.now_s + late_s, earliest_s), data))
         arrived = b""
         while self._late and self._late[0][0] <= self.now_s:
             arrived += self._late.popleft()[1]
@@ -109,34 +122,54 @@ class Sabotage:
             return data
         if "serial.stall" in self._begun or self.unplugged:
             return b""
-        kept = np.frombuffer(data, np.uint8)
+        kept: npt.NDArray[np.uint8] = np.frombuffer(data, np.uint8)
         if lost := self._value("serial.drop"):
             kept = kept[self._rng.random(len(kept)) >= lost]
         if flipped := self._value("serial.flip"):
             hit = self._rng.random(len(kept)) < flipped
             kept = np.where(hit, kept ^ (1 << self._rng.integers(0, 8, len(kept))).astype(np.uint8), kept)
+        if doubled := self._value("serial.dup"):
+            kept = np.repeat(kept, 1 + (self._rng.random(len(kept)) < doubled))
+        if inserted := self._value("serial.insert"):
+            before = np.flatnonzero(self._rng.random(len(kept)) < inserted)
+            kept = np.insert(kept, before, self._rng.integers(0, 256, len(before))).astype(np.uint8)
         return kept.tobytes()
 
     # The CAN bus.
 
-    def carries(self, frame: "Frame", from_node: bool) -> bool:
-        """Whether the bus brings this frame to anybody."""
-        del frame
-        if "can.bus_off" in self._begun or (from_node and "can.silent" in self._begun):
-            return False
-        lost = self._value("can.drop")
-        return not lost or bool(self._rng.random() >= lost)
+    def carried(self, frame: "Frame", from_node: bool) -> "Frame | None":
+        """What of this frame the bus brings to anybody."""
+        if "can.bus_off" in self._begun or (from_node and "can.silent" in self._begun) or self._hits("can.drop"):
+            return None
+        can_id, data = frame
+        if data and self._hits("can.flip"):
+            spoilt = bytearray(data)
+            spoilt[self._rng.integers(len(data))] ^= 1 << int(self._rng.integers(8))
+            data = bytes(spoilt)
+        if data and self._hits("can.short"):
+            data = data[:-1]
+        return can_id, data
+
+    def _hits(self, name: str) -> bool:
+        """Whether a fault that comes by chance comes now; without the fault nothing is drawn."""
+        share = self._value(name)
+        return share > 0.0 and bool(self._rng.random() < share)
 
     # The pictures.
 
     def shoot(self, render: Callable[[], tuple[Image, Image]], time_s: float) -> Shot | None:
         """Both pictures of this moment; None where the cameras show nothing new."""
-        if "camera.off" in self._begun:
+        if "camera.off" in self._begun or self._hits("camera.intermittent"):
             return None
         if "camera.stuck" in self._begun:
             self._stuck = self._stuck or render()
             return Shot(*self._stuck)
         left, right = (self._spoiled(picture) for picture in render())
+        if "camera.torn" in self._begun:
+            half = len(left) // 2
+            whole, last = (left, right), self._before or (left, right)
+            left, right = (np.concatenate([new[:half], old[half:]]) for new, old in zip(whole, last, strict=True))
+            self._before = whole
         if "camera.mirrored" in self._begun:
             left = np.ascontiguousarray(left[:, ::-1])
         if "camera.swapped" in self._begun:
@@ -164,6 +197,12 @@ class Sabotage:
         if exposure := self._value("camera.exposure"):
             table = 255.0 * np.minimum(1.0, exposure * (np.arange(256) / 255.0) ** 2.2) ** (1 / 2.2)
             picture = table.round().astype(np.uint8)[picture]
+        if "camera.glare" in self._begun:
+            height, width = picture.shape[:2]
+            picture = picture.copy()
+            cv2.circle(picture, (width // 2 + GLARE_PX, height // 2), GLARE_PX, (255, 255, 255), -1)
+        if "camera.size" in self._begun:
+            picture = picture[1:]
         if moved_mm := self._value("camera.moved"):
             picture = np.roll(picture, round(moved_mm * PX_PER_MM), axis=1)
         return picture
@@ -175,7 +214,7 @@ class Sabotage:
 
 def _is_of_a_board(fault: Fault) -> bool:
     place, _, what = fault.name.partition(".")
-    return place in ("serial", "port") or (place == "motion" and what not in ("reset", "backlash", "scale_x"))
+    return place in ("serial", "port") or (place == "motion" and what not in ("reset", "backlash", "scale_x", "slip"))
 
 
 def _board(parts: Parts) -> GrblBoard | TinyGBoard:
@@ -185,6 +224,10 @@ def _board(parts: Parts) -> GrblBoard | TinyGBoard:
 
 def _lose_steps(parts: Parts, steps: float) -> None:
     parts.machine.lost_mm[2] -= steps / _board(parts).steps_per_mm[2]
+
+
+def _slip(parts: Parts, slip_mm: float) -> None:
+    parts.machine.lost_mm[0] += slip_mm
 
 
 def _play(parts: Parts, play_mm: float) -> None:
@@ -218,6 +261,7 @@ def _ignore_silence(parts: Parts, _value: float) -> None:
 _AT_ONCE: Final[dict[str, Callable[[Parts, float], None]]] = {
     "motion.alarm": lambda parts, code: _board(parts).raise_alarm(round(code)),
     "motion.reset": lambda parts, _: parts.board.restart(),
+    "motion.slip": _slip,
     "motion.backlash": _play,
     "motion.scale_x": _stretch_x,
     "motion.lost_steps": _lose_steps,

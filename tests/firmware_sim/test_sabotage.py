@@ -104,6 +104,37 @@ def test_bits_are_flipped_and_none_is_lost(rig: Rig, healthy: Rig) -> None:
     assert any(answer != clean for answer in answers)
 
 
+@of("serial.dup=0.2")
+def test_bytes_come_twice(rig: Rig) -> None:
+    rig.say(b"")
+    answers = "".join(rig.say(b"?", 0.05) for _ in range(40))
+    assert re.search(r"MMPPos|MPPos|MPooss|MPoos|PPos|<<|>>|II|dd", answers)
+
+
+@of("serial.insert=0.05")
+def test_bytes_come_out_of_nowhere(rig: Rig) -> None:
+    rig.say(b"")
+    answers = "".join(rig.say(b"?", 0.05) for _ in range(40))
+    assert "MPos" in answers
+    assert re.search(r"[^\x20-\x7e\r\n]", answers)
+
+
+@of("serial.slice")
+def test_answers_come_in_pieces_and_whole_in_the_end(rig: Rig) -> None:
+    rig.say(b"")
+    while rig.line.read(0.1):
+        pass
+    pieces = []
+    for _ in range(10):
+        rig.line.write(b"$G\n")
+        found = b""
+        while more := rig.line.read(0.05):
+            pieces.append(more)
+            found += more
+        assert re.fullmatch(rb"\[GC:[^\]]*\]\r\nok\r\n", found)
+    assert len(pieces) > 10
+
+
 @of("serial.latency=300ms")
 def test_answers_are_late(rig: Rig) -> None:
     while rig.line.read(0.5):
@@ -153,6 +184,14 @@ def test_the_world_is_not_where_the_board_thinks(rig: Rig) -> None:
     assert machine.command_mm[2] - start[2] == pytest.approx(-0.02), "20 steps of 1 um lower than told"
 
 
+@of("motion.slip=0.1mm")
+def test_an_axis_slips(rig: Rig) -> None:
+    machine = rig.bench.machine
+    start = machine.tip_mm.copy()
+    machine.move_to(rig.clock.now_s() + 1.0, (-10.0, 0.0, 0.0))
+    assert machine.tip_mm[0] - start[0] == pytest.approx(-9.9, abs=0.01)
+
+
 @of("can.silent")
 def test_a_silent_drive_is_not_heard(rig: Rig) -> None:
     assert rig.heartbeats() == 0
@@ -169,6 +208,34 @@ def test_some_frames_are_lost(rig: Rig) -> None:
     for _ in range(8):
         rig.heartbeats(0.05)
     assert 5 < rig.heartbeats(2.0) < 35
+
+
+@of("can.short=0.5")
+def test_some_frames_lack_a_byte(rig: Rig) -> None:
+    lengths = lengths_heard(rig)
+    assert {0, 1} <= lengths
+
+
+@of("can.flip=0.5")
+def test_some_frames_are_wrong(rig: Rig) -> None:
+    states = set()
+    for _ in range(8):
+        rig.bus.send(can.Message(arbitration_id=0x601, data=bytes.fromhex("4000100000000000"), is_extended_id=False))
+        rig.clock.sleep_s(0.02)
+        while (message := rig.bus.recv(timeout=0.0)) is not None:
+            states.add(bytes(message.data))
+    assert len(states) > 1
+
+
+def lengths_heard(rig: Rig) -> set[int]:
+    found = set()
+    for _ in range(8):
+        rig.bus.send(can.Message(arbitration_id=0x601, data=bytes.fromhex("2b17100032000000"), is_extended_id=False))
+        rig.clock.sleep_s(0.2)
+        while (message := rig.bus.recv(timeout=0.0)) is not None:
+            if message.arbitration_id == 0x701:
+                found.add(len(message.data))
+    return found
 
 
 def run_up(rig: Rig) -> None:
@@ -239,6 +306,28 @@ def test_a_camera_that_is_off_shows_nothing_new(rig: Rig) -> None:
     assert rig.pictures()[2] > 1.0
 
 
+@of("camera.intermittent=0.5")
+def test_some_pictures_do_not_arrive(rig: Rig) -> None:
+    ages_s = [rig.pictures()[2] for _ in range(40) if rig.left.newest() is not None]
+    assert 5 < sum(age_s < 0.1 for age_s in ages_s) < 35
+
+
+@of("camera.torn")
+def test_a_torn_picture_shows_two_moments(rig: Rig) -> None:
+    def plain(value: int) -> tuple[np.ndarray, np.ndarray]:
+        return np.full((4, 6, 3), value, np.uint8), np.full((4, 6, 3), value + 1, np.uint8)
+
+    for moment in (10, 20):
+        shot = rig.bench.shoot(rig.clock.now_s(), render=lambda _, moment=moment: plain(moment))
+    assert shot.left[:, 0, 0].tolist() == [20, 20, 10, 10]
+    assert shot.right[:, 0, 0].tolist() == [21, 21, 11, 11]
+
+
+@of("camera.size")
+def test_pictures_of_another_size(rig: Rig, healthy: Rig) -> None:
+    assert rig.pictures()[0].shape != healthy.pictures()[0].shape
+
+
 @of("camera.slow=200ms")
 def test_a_slow_camera_shows_the_past(rig: Rig) -> None:
     assert rig.left.newest() is None
@@ -265,6 +354,7 @@ def test_eyes_that_are_out_of_step_show_two_moments(rig: Rig) -> None:
         ("camera.mirrored", lambda left, right, clean, other: close(left[:, ::-1], clean) and close(right, other)),
         ("camera.exposure=2x", lambda left, right, clean, other: left.mean() > 1.15 * clean.mean()),
         ("camera.moved=1mm", lambda left, right, clean, other: close(np.roll(left, -25, axis=1), clean)),
+        ("camera.glare", lambda left, right, clean, other: (left == 255).all(axis=2).sum() > 5000),
         ("camera.blur", lambda left, right, clean, other: detail(left) < 0.2 * detail(clean)),
     ],
 )
