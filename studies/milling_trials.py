@@ -35,6 +35,8 @@ from vision.runtime import Image
 Floats = npt.NDArray[np.float64]
 
 POLICIES: Final[tuple[PolicyName, ...]] = ("default", "paper", "previous")
+RELOOK_S: Final = 5.0
+"""A window whose drill was aside for longer than this, the last look apart, or that was held, is a nuisance."""
 PUBLISHED: Final = {"success_rate": 6 / 7, "time_min_mean": 2.1}
 """The paper's 6 of 7 mice and 2.1 (1.8) minutes."""
 
@@ -60,6 +62,7 @@ def mill_one(world: World, policy: PolicyName, faults: Sequence[str], statistica
         shutil.rmtree(keep / name, ignore_errors=True)
     eyes = NumberEyes(bench, donors(), seed=world.seed) if statistical else None
     log: list[Readings] = []
+    relooks: Relooks | None = None
 
     def finders(clock: SimClock) -> loop.Finders:
         found = networks(clock) if eyes is None else eyes.finders()
@@ -71,7 +74,8 @@ def mill_one(world: World, policy: PolicyName, faults: Sequence[str], statistica
 
     with TemporaryDirectory() as scratch:
 
-        def recorder(clock: SimClock) -> RunRecorder:
+        def recorder(clock: SimClock) -> Relooks:
+            nonlocal relooks
             header = {
                 "seed": world.seed,
                 "clock": "virtual",
@@ -80,7 +84,8 @@ def mill_one(world: World, policy: PolicyName, faults: Sequence[str], statistica
                 "statistical": statistical,
             }
             # Events tell what happened; thousands of pictures would fill a disk.
-            return RunRecorder((keep or Path(scratch)) / name, header, clock, frame_period_s=1e9)
+            relooks = Relooks((keep or Path(scratch)) / name, header, clock, frame_period_s=1e9)
+            return relooks
 
         try:
             ended = mill(
@@ -104,6 +109,7 @@ def mill_one(world: World, policy: PolicyName, faults: Sequence[str], statistica
         "membrane_overrun_mm": truth["membrane_overrun_mm"],
         "milling_time_min": result.milling_time_s / 60.0,
         "laps": result.laps,
+        "relook_s": 0.0 if relooks is None else relooks.spent_s,
         "heat_rise_c": truth["heat_rise_c"],
         "donor": None if eyes is None else eyes.donor,
     }
@@ -132,6 +138,8 @@ def summary(trials: Mapping[str, Figures]) -> dict[str, Figures]:
         figures["membranes_touched"] = touched
         figures |= share_of("damage_rate", touched, len(mine))
         figures["holds"] = sum(trial["outcome"] == "held" for trial in mine)
+        nuisances = sum(trial["outcome"] == "held" or trial["relook_s"] > RELOOK_S for trial in mine)
+        figures |= share_of("nuisance_rate", nuisances, len(mine))
         figures["aborts"] = sum(trial["outcome"] == "aborted" for trial in mine)
         figures["false_completes"] = sum(trial["outcome"] == "complete" and not trial["flap_free"] for trial in mine)
         times = [trial["milling_time_min"] for trial in mine if trial["success"]]
@@ -146,6 +154,24 @@ def summary(trials: Mapping[str, Figures]) -> dict[str, Figures]:
         figures["membrane_overrun_mm_worst"] = max(trial["membrane_overrun_mm"] for trial in mine)
         result[policy] = figures
     return result
+
+
+class Relooks(RunRecorder):
+    """A record that also tells how long the drill was aside for looks after which milling went on."""
+
+    spent_s = 0.0
+    _aside_at_s: float | None = None
+
+    def event(self, kind: str, **fields: Any) -> None:
+        """Append one event."""
+        super().event(kind, **fields)
+        if kind != "stage":
+            return
+        if fields["stage"] == "look":
+            self._aside_at_s = self._clock.now_s()
+        elif fields["stage"] == "mill" and self._aside_at_s is not None:
+            self.spent_s += self._clock.now_s() - self._aside_at_s
+            self._aside_at_s = None
 
 
 @dataclass

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from firmware_sim.clock import SimClock
 from studies import milling_trials
-from studies.milling_trials import summary
+from studies.milling_trials import Relooks, summary
 from studies.trials import World
 
 
@@ -13,7 +14,7 @@ def trial(seed: int, policy: str, outcome: str, *, free: bool, touched: bool, mi
     return {
         "seed": seed, "recipe": policy, "failed": None, "outcome": outcome, "reason": "", "flap_free": free,
         "success": free and not touched and outcome == "complete", "membrane_touched": touched,
-        "membrane_overrun_mm": 0.0, "milling_time_min": minutes, "laps": 40.0, "heat_rise_c": 8.0,
+        "membrane_overrun_mm": 0.0, "milling_time_min": minutes, "laps": 40.0, "relook_s": 0.0, "heat_rise_c": 8.0,
     }  # fmt: skip
 
 
@@ -35,6 +36,25 @@ def test_a_hold_is_a_failure_and_a_touched_membrane_is_counted() -> None:
     assert figures["paper"]["membranes_touched"] == 1
     assert figures["paper"]["damage_rate"] == 1.0
     assert "time_min_median" not in figures["paper"]
+
+
+def test_a_window_that_holds_or_looks_again_for_long_is_a_nuisance() -> None:
+    trials = {
+        "a": trial(1, "default", "complete", free=True, touched=False),
+        "b": trial(2, "default", "held", free=True, touched=False),
+        "c": trial(3, "default", "complete", free=True, touched=False) | {"relook_s": 5.5},
+        "d": trial(4, "default", "complete", free=True, touched=False) | {"relook_s": 4.5},
+    }
+    assert summary(trials)["default"]["nuisance_rate"] == 0.5
+
+
+def test_looks_count_after_which_milling_goes_on(tmp_path: Path) -> None:
+    clock = SimClock()
+    with Relooks(tmp_path / "run", {}, clock) as record:
+        for stage in ("contact", "mill", "look", "mill", "look", "retract"):
+            record.event("stage", stage=stage)
+            clock.sleep_s(1.5)
+    assert record.spent_s == pytest.approx(1.5)
 
 
 def test_each_mouse_meets_every_policy() -> None:
