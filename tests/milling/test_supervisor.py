@@ -397,6 +397,34 @@ def test_a_wire_that_is_never_silent_does_not_hide_that_the_process_that_mills_i
     assert stopped(far)
 
 
+def test_out_of_the_bone_a_wire_may_speak_while_nobody_else_does(
+    wire, said, device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    says_when_handed_on(monkeypatch, device, said, [b"Q\n"])
+    os.write(device.far, b"t701105\r")
+    assert supervisor.watch(wire[0], 0.0, SCRIPT, device.tap) == ""
+    assert written(wire[1]) == b""
+
+
+def test_words_that_lie_in_the_pipe_are_read_before_a_silence_is_believed(
+    wire, said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    choose, looks = select.select, []
+
+    def kept_waiting(files: list[int], *rest: object) -> tuple[list[int], list[int], list[int]]:
+        looks.append(files)
+        if len(looks) == 2:
+            later_s = supervisor.now_s() + 1000.0
+            monkeypatch.setattr(supervisor, "now_s", lambda: later_s)
+            os.write(said, b"D\nQ\n")
+        return choose(files, *rest)  # type: ignore[call-overload]
+
+    monkeypatch.setattr(supervisor.select, "select", kept_waiting)
+    os.write(said, b"A\n")
+    assert supervisor.watch(wire[0], 5.0, SCRIPT) == ""
+    assert written(wire[1]) == b""
+
+
 def test_who_does_not_read_what_is_handed_on_holds_nothing_up(wire, said, device: Device) -> None:
     with contextlib.suppress(BlockingIOError):
         while True:
