@@ -16,6 +16,8 @@ READ_BACK_MM = 0.02
 LIFT_MM = 0.1
 """Up from the bone after a hold: dwelling on the membrane tears it."""
 RETRACT_MM = 1.5
+HIGH_MM = 1.0
+"""From here on up the drill may stop."""
 RETRACT_FEED_MM_S = 15.0
 TRAVEL_FEED_MM_S = 15.0
 _POLL_S = 0.02
@@ -195,8 +197,12 @@ class Hands:
                 self.guard = None
                 raise
 
-    def lift(self, height_mm: float) -> None:
+    def lift(self, height_mm: float, when_high: Callable[[], None] = lambda: None) -> None:
         """Drop what is queued, then straight up.
+
+        Args:
+            height_mm: how far.
+            when_high: called once, ``HIGH_MM`` up as the controller reports it, or at the end.
 
         Raises:
             DeviceError: the controller does not answer, or its position is lost.
@@ -218,10 +224,14 @@ class Hands:
         top = min(position[2] + height_mm, self.motion.travel.high_mm[2])
         self.motion.start_move((position[0], position[1], top), feed_mm_per_s=RETRACT_FEED_MM_S)
         deadline_s = self.clock.now_s() + 0.5
+        is_low = True
         while True:
             self._live()
             self.spindle.status()
             status = self.motion.status()
+            if is_low and status.position_mm[2] >= min(position[2] + HIGH_MM, top):
+                is_low = False
+                when_high()
             if status.state is MotionState.IDLE and status.queued_s <= 0:
                 break
             if self.clock.now_s() > deadline_s:
@@ -240,7 +250,7 @@ class Hands:
             try:
                 if latch.reaction is Reaction.HOLD:
                     self.lift(LIFT_MM)
-                self.lift(RETRACT_MM)
+                self.lift(RETRACT_MM, self._let_spindle_stop)
                 self.recorder.event("state", state="lifted")
                 self.out_of_the_bone()
                 self.stop_spindle()
@@ -252,14 +262,17 @@ class Hands:
         self.kill()
         return latch
 
+    def _let_spindle_stop(self) -> None:
+        self.speed_rpm = 0.0
+        self.spindle.stop()
+
     def stop_spindle(self, timeout_s: float = 3.0) -> None:
         """Stop the drill and see it stand.
 
         Raises:
             DeviceError: it does not stand in time, or the drive is silent.
         """
-        self.speed_rpm = 0.0
-        self.spindle.stop()
+        self._let_spindle_stop()
         self._see_it_stand(timeout_s)
         self.recorder.event("spindle", state="off, confirmed")
 

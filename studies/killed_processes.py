@@ -72,7 +72,7 @@ def run_circles(motion_port: str, spindle_port: str, center_mm: tuple[float, flo
     ):
         path = motion.stop_path
         assert path is not None
-        with Guard(path, clock) as guard:
+        with Guard(path, clock, alarm=spindle.alarm_path) as guard:
             motion.home()
             hands = Hands(motion, spindle, clock, NullRecorder(), lambda: False, guard)
             x, y, z = center_mm

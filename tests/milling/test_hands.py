@@ -55,9 +55,23 @@ def test_a_retract_lifts_first_and_then_stops_the_drill(at: At) -> None:
     assert at.clock.now_s() - began_s < 2.0
 
 
+def test_the_drill_may_stop_a_millimetre_up_and_no_earlier(at: At, monkeypatch: pytest.MonkeyPatch) -> None:
+    z, stopped_at = at.bench.machine.tip_mm[2], []
+    stop = at.hands.spindle.stop
+
+    def noted() -> None:
+        stopped_at.append(at.bench.machine.tip_mm[2] - z)
+        stop()
+
+    monkeypatch.setattr(at.hands.spindle, "stop", noted)
+    at.hands.make_safe(Latch(Reaction.RETRACT, "for a test"))
+    assert 1.0 <= stopped_at[0] < RETRACT_MM - 0.1
+
+
 def test_a_drill_that_does_not_obey_is_told_within_two_seconds_and_not_waited_for(at: At) -> None:
+    at.hands.stop_spindle()
     at.bench.plant([parse_fault("spindle.starts_by_itself")])
-    at.hands.watch(0.02)
+    at.clock.sleep_s(1.0)
     began_s = at.clock.now_s()
     latch = at.hands.make_safe(Latch(Reaction.RETRACT, "for a test"))
     assert latch.reaction is Reaction.KILL
