@@ -10,10 +10,16 @@ SCRATCH_CELLS = 40_000
 _NO_BONE_MM = 1e-4
 
 
-def new_scratch() -> tuple[Any, Any, Any]:
-    """Work space of ``mill_step``: cell rows and columns, overlaps, shares of the normal that point up."""
+def new_scratch() -> tuple[Any, Any, Any, Any, Any]:
+    """Work space of ``mill_step``.
+
+    Which cells of a row the ball reaches; and of those that hold bone their row and column, bone left, overlap, share
+    of the normal that points up.
+    """
     return (
+        np.empty(SCRATCH_CELLS, np.bool_),
         np.empty((SCRATCH_CELLS, 2), np.int32),
+        np.empty(SCRATCH_CELLS, np.float64),
         np.empty(SCRATCH_CELLS, np.float64),
         np.empty(SCRATCH_CELLS, np.float64),
     )
@@ -31,7 +37,9 @@ def mill_step(
     radius: float,
     stiffness: float,
     capacity: float,
+    reached: Any,
     cells: Any,
+    left: Any,
     overlap: Any,
     upward: Any,
 ) -> tuple[float, float, float, int, int, int, int, int, int]:
@@ -45,6 +53,7 @@ def mill_step(
         and column, and the box of changed cells (first row, past the last, first column, past the last).
     """
     bx, by, bz = ball
+    square = radius * radius
     i0 = max(0, math.ceil((bx - radius - x0) / step))
     i1 = min(top.shape[0], math.floor((bx + radius - x0) / step) + 1)
     j0 = max(0, math.ceil((by - radius - y0) / step))
@@ -56,24 +65,37 @@ def mill_step(
     below_j = -1
     for i in range(i0, i1):
         dx = x0 + i * step - bx
-        for j in range(j0, j1):
-            dy = y0 + j * step - by
-            room = radius * radius - dx * dx - dy * dy
-            if room <= 0.0:
+        row = square - dx * dx
+        tops, inners, membranes = top[i, j0:j1], inner[i, j0:j1], membrane[i, j0:j1]
+        # The ball reaches few of the cells. This loop finds them without a branch, which makes it a quick one.
+        some = False
+        for k in range(j1 - j0):
+            dy = y0 + (j0 + k) * step - by
+            gap = max(0.0, bz - max(tops[k], membranes[k]))
+            reached[k] = row - dy * dy > gap * gap
+            some |= reached[k]
+        if not some:
+            continue
+        for k in range(j1 - j0):
+            if not reached[k]:
                 continue
+            j = j0 + k
+            dy = y0 + j * step - by
+            room = row - dy * dy
             # Without a root for the many cells that the ball does not reach.
-            gap = bz - membrane[i, j]
+            gap = bz - membranes[k]
             if gap < 0.0 or gap * gap < room:
                 deep = math.sqrt(room) - gap
                 if deep > below:
                     below = deep
                     below_i = i
                     below_j = j
-            gap = bz - top[i, j]
-            if top[i, j] > inner[i, j] + _NO_BONE_MM and (gap < 0.0 or gap * gap < room) and count < cells.shape[0]:
+            gap = bz - tops[k]
+            if tops[k] > inners[k] + _NO_BONE_MM and (gap < 0.0 or gap * gap < room) and count < cells.shape[0]:
                 height = math.sqrt(room)
                 cells[count, 0] = i
                 cells[count, 1] = j
+                left[count] = tops[k] - inners[k]
                 overlap[count] = height - gap
                 upward[count] = height / radius
                 pressed = max(pressed, (height - gap) * height / radius)
@@ -87,12 +109,14 @@ def mill_step(
     high = pressed
     for _ in range(12):
         middle = 0.5 * (low + high)
+        allowed = capacity * stiffness * middle
         cut = 0.0
         for n in range(count):
             if overlap[n] > middle:
-                left = top[cells[n, 0], cells[n, 1]] - inner[cells[n, 0], cells[n, 1]]
-                cut += min(overlap[n] - middle, left) * upward[n]
-        if cut * area > capacity * stiffness * middle:
+                cut += min(overlap[n] - middle, left[n]) * upward[n]
+                if cut * area > allowed:
+                    break
+        if cut * area > allowed:
             low = middle
         else:
             high = middle
@@ -100,9 +124,9 @@ def mill_step(
     volume = 0.0
     ci0, ci1, cj0, cj1 = top.shape[0], 0, top.shape[1], 0
     for n in range(count):
-        i, j = cells[n, 0], cells[n, 1]
-        gone = min(overlap[n] - deflection, top[i, j] - inner[i, j])
+        gone = min(overlap[n] - deflection, left[n])
         if gone > 0.0:
+            i, j = cells[n, 0], cells[n, 1]
             top[i, j] -= gone
             volume += gone * area
             ci0, ci1 = min(ci0, i), max(ci1, i + 1)
