@@ -8,6 +8,8 @@ if TYPE_CHECKING:
     from firmware_sim.grbl_program import Program
 
 _SPINDLE_RESTORE_S = 4.0
+_STOPS = frozenset({Flag.HOLD, Flag.DOOR, Flag.MOTION_CANCEL, Flag.SLEEP})
+_PLAYS = frozenset({State.RUN, State.HOLD, State.DOOR, State.JOG, State.SLEEP})
 
 
 def look_at_flags(program: "Program") -> Waits:
@@ -35,7 +37,7 @@ def look_at_flags(program: "Program") -> Waits:
             flags.discard(Flag.CYCLE_STOP)
             _cycle_stop(program)
     program.overrides.apply(program)
-    if program.state in {State.RUN, State.HOLD, State.DOOR, State.JOG, State.SLEEP} and program.stepper.running:
+    if program.stepper.running and program.state in _PLAYS:
         program.stepper.prepare()
 
 
@@ -58,7 +60,7 @@ def _report_alarm(program: "Program") -> Waits:
 
 def _stops(program: "Program") -> None:
     flags, suspend = program.flags, program.suspend
-    asked = flags & {Flag.HOLD, Flag.DOOR, Flag.MOTION_CANCEL, Flag.SLEEP}
+    asked = flags & _STOPS
     if not asked:
         return
     flags -= asked

@@ -30,6 +30,7 @@ from firmware_sim.passing import (
     WORLD,
     go_on,
     move,
+    stay,
     torque_fraction,
 )
 from firmware_sim.skull import Array, Skull
@@ -75,17 +76,18 @@ class Machine:
         self.specimen = specimen
         self.skull = Skull(specimen)
         self.lock = threading.RLock()
-        self.axis_scale = np.ones(3)
-        self.lost_mm = np.zeros(3)
         self.blocked = False
         """Whether something holds the shaft."""
         noise = np.random.default_rng([specimen.seed, specimen.rig.seed & 0x7FFFFFFF, 911])
         self._noise = noise.standard_normal(8192)
-        self._command: AxesMm = POWER_UP_TIP_MM
-        self._world: Any = np.zeros(1, WORLD)[0]
+        self._worlds: Any = np.zeros(1, WORLD)
+        self._world: Any = self._worlds[0]
         self._fill_in(noise.uniform(0, 2 * np.pi, 4))
+        # Of each axis; views, to be changed in place.
         self.backlash_mm: Array = self._world["backlash_mm"]
-        """Of each axis; a view, to be changed in place."""
+        self.axis_scale: Array = self._world["axis_scale"]
+        self.lost_mm: Array = self._world["lost_mm"]
+        self._command: Array = self._world["command_mm"]
         self._path = np.empty((_PATH_PIECE, 2))
         self._onlookers: list[ChangedBox] = []
         skull = self.skull
@@ -100,6 +102,9 @@ class Machine:
             "y0_mm": grid.y0_mm,
             "step_mm": grid.step_mm,
             "highest_mm": float(self.skull.outer_z.max()),
+            "power_up_mm": POWER_UP_TIP_MM,
+            "end_stops_mm": [switch + TRAVEL_BEYOND_SWITCH_MM for switch in SWITCHES_MM],
+            "axis_scale": 1.0,
             "ball_offset_mm": [ball * component for component in specimen.tool.axis],
             "ball_radius_mm": ball,
             # Run-out enlarges what the ball sweeps; taken as a larger ball, a little too pessimistic along the axis.
@@ -126,29 +131,23 @@ class Machine:
     def move_to(self, time_s: float, axes_mm: AxesMm) -> None:
         """The motors stand at ``axes_mm``, relative to power-up, from ``time_s`` on."""
         with self.lock:
-            x, y, z = (
-                min(start + float(axis * scale + lost), switch + TRAVEL_BEYOND_SWITCH_MM)
-                for start, axis, scale, lost, switch in zip(
-                    POWER_UP_TIP_MM, axes_mm, self.axis_scale, self.lost_mm, SWITCHES_MM, strict=True
-                )
-            )
-            self._run(time_s, x, y, z)
+            self._let_go_on(move(self._worlds, *self._bone, self._path, self._scratch, time_s, *axes_mm))
 
     def turn(self, time_s: float, speed_rpm: float) -> None:
         """The shaft turns at ``speed_rpm`` from ``time_s`` on."""
         with self.lock:
-            self._run(time_s, *self._command)
+            self._let_go_on(stay(self._worlds, *self._bone, self._path, self._scratch, time_s))
             self._world["spindle_rpm"] = speed_rpm
 
     def advance_to(self, time_s: float) -> None:
         """Let the world go on until ``time_s`` with the motors where they stand."""
         with self.lock:
-            self._run(time_s, *self._command)
+            self._let_go_on(stay(self._worlds, *self._bone, self._path, self._scratch, time_s))
 
     def limit_switches(self) -> tuple[bool, bool, bool]:
         """Home switches at the far corner of the travel."""
-        x, y, z = (a >= b for a, b in zip(self._command, SWITCHES_MM, strict=True))
-        return x, y, z
+        x, y, z = self._command.tolist()
+        return x >= SWITCHES_MM[0], y >= SWITCHES_MM[1], z >= SWITCHES_MM[2]
 
     def probe_closed(self) -> bool:
         """No probe is wired."""
@@ -160,7 +159,7 @@ class Machine:
             return BLOCKED_TORQUE
         if abs(speed_rpm) < 1.0:
             return 0.0
-        return torque_fraction(self._world, self._noise, time_s, speed_rpm)
+        return torque_fraction(self._worlds, self._noise, time_s, speed_rpm)
 
     # What the pictures are made from.
 
@@ -280,7 +279,7 @@ class Machine:
         """Put the tip there at once."""
         with self.lock:
             x, y, z = (float(value) for value in tip_mm)
-            self._command = self._world["command_mm"] = self._world["tip_mm"] = (x, y, z)
+            self._world["command_mm"] = self._world["tip_mm"] = (x, y, z)
             self._world["velocity_mm_s"] = 0.0
 
     def set_spindle(self, speed_rpm: float) -> None:
@@ -329,17 +328,15 @@ class Machine:
 
     # How time passes.
 
-    def _run(self, time_s: float, x_mm: float, y_mm: float, z_mm: float) -> None:
-        """Straight from the last command to there, which is reached at ``time_s``."""
+    def _let_go_on(self, told: int) -> None:
+        """The rest of what ``told`` says has begun."""
         world = self._world
-        told = move(world, *self._bone, self._path, self._scratch, time_s, x_mm, y_mm, z_mm)
         while told != THROUGH:
             if told == LOOK_AT_FLAP:
                 world["freed"] = read_ring(self.skull, *self._ring(), 64).freed_share
             else:
                 self._path = np.vstack([self._path, np.empty((_PATH_PIECE, 2))])
-            told = go_on(world, *self._bone, self._path, self._scratch)
-        self._command = (x_mm, y_mm, z_mm)
+            told = go_on(self._worlds, *self._bone, self._path, self._scratch)
         if self._onlookers and world["i1"]:
             self._mark(int(world["i0"]), int(world["i1"]), int(world["j0"]), int(world["j1"]))
 

@@ -1,6 +1,6 @@
 """How time passes at the ball, compiled: the tip follows the motors, the ball cuts or presses, bone warms up.
 
-The world's numbers are one record, so that a call hands over one thing. Everything is computed in the order in which it
+The world's numbers are one record, in an array of one because that is handed over fastest. Everything is computed in the order in which it
 is written here, in double precision: the same calls give the same bits.
 """
 
@@ -27,17 +27,17 @@ FLAP_PERIOD_S: Final = 0.25
 FLAP_PATH_LEAST: Final = 50
 
 THROUGH, LOOK_AT_FLAP, PATH_FULL = 0, 1, 2
-"""Why ``move`` and ``go_on`` return: the time is over, or the caller has to do something and to let it go on."""
+"""Why ``move``, ``stay`` and ``go_on`` return: the time is over, or the caller has to do something and call ``go_on``."""
 
 WORLD: Final = np.dtype(
     [
         # Of this specimen and its tool.
         ("x0_mm", "f8"), ("y0_mm", "f8"), ("step_mm", "f8"), ("highest_mm", "f8"),
-        ("ball_offset_mm", "f8", (3,)), ("ball_radius_mm", "f8"), ("turning_radius_mm", "f8"),
+        ("power_up_mm", "f8", (3,)), ("end_stops_mm", "f8", (3,)), ("ball_offset_mm", "f8", (3,)), ("ball_radius_mm", "f8"), ("turning_radius_mm", "f8"),
         ("stiffness_n_per_mm", "f8"), ("flap_softening", "f8"), ("nominal_rate_mm3_s", "f8"),
         ("torque_noise", "f8"), ("torque_ripple", "f8"), ("torque_drift", "f8"), ("phases_rad", "f8", (4,)),
         # What somebody may change.
-        ("backlash_mm", "f8", (3,)),
+        ("backlash_mm", "f8", (3,)), ("axis_scale", "f8", (3,)), ("lost_mm", "f8", (3,)),
         # What time changes.
         ("now_s", "f8"), ("spindle_rpm", "f8"), ("turns", "f8"),
         ("command_mm", "f8", (3,)), ("tip_mm", "f8", (3,)), ("velocity_mm_s", "f8", (3,)),
@@ -55,7 +55,7 @@ WORLD: Final = np.dtype(
 
 @njit(cache=True, nogil=True)
 def move(
-    world: Any,
+    worlds: Any,
     top: Any,
     inner: Any,
     membrane: Any,
@@ -66,10 +66,35 @@ def move(
     y: float,
     z: float,
 ) -> int:
-    """Straight from the last command to (x, y, z), which is reached at ``time_s``; ``go_on`` ends what this begins."""
+    """Straight from the last command to where the motors stand at (x, y, z), relative to power-up, at ``time_s``."""
+    world = worlds[0]
+    motors = (x, y, z)
+    for axis in range(3):
+        turned_mm = motors[axis] * world.axis_scale[axis] + world.lost_mm[axis]
+        world.target_mm[axis] = min(world.power_up_mm[axis] + turned_mm, world.end_stops_mm[axis])
+    return _begin(world, top, inner, membrane, path, scratch, time_s)
+
+
+@njit(cache=True, nogil=True)
+def stay(worlds: Any, top: Any, inner: Any, membrane: Any, path: Any, scratch: Any, time_s: float) -> int:
+    """Stand at the last command until ``time_s``."""
+    world = worlds[0]
+    for axis in range(3):
+        world.target_mm[axis] = world.command_mm[axis]
+    return _begin(world, top, inner, membrane, path, scratch, time_s)
+
+
+@njit(cache=True, nogil=True)
+def go_on(worlds: Any, top: Any, inner: Any, membrane: Any, path: Any, scratch: Any) -> int:
+    """The rest of the move under way."""
+    return _step_on(worlds[0], top, inner, membrane, path, scratch)
+
+
+@njit(cache=True, nogil=True)
+def _begin(world: Any, top: Any, inner: Any, membrane: Any, path: Any, scratch: Any, time_s: float) -> int:
     world.elapsed_s = max(0.0, time_s - world.now_s)
     start, target = world.command_mm, world.target_mm
-    target[0], target[1], target[2] = x, y, z
+    x, y, z = target[0], target[1], target[2]
     world.i0, world.i1, world.j0, world.j1 = 0, 0, 0, 0
     if world.elapsed_s == 0.0 and start[0] == x and start[1] == y and start[2] == z:
         return THROUGH
@@ -91,12 +116,11 @@ def move(
         world.deflection_mm = 0.0
         world.force_n = 0.0
         _settle(world, 0.0, world.elapsed_s)
-    return go_on(world, top, inner, membrane, path, scratch)
+    return _step_on(world, top, inner, membrane, path, scratch)
 
 
 @njit(cache=True, nogil=True)
-def go_on(world: Any, top: Any, inner: Any, membrane: Any, path: Any, scratch: Any) -> int:
-    """The rest of the move under way."""
+def _step_on(world: Any, top: Any, inner: Any, membrane: Any, path: Any, scratch: Any) -> int:
     start, target = world.start_mm, world.target_mm
     while world.step < world.steps:
         if world.path_length == len(path):
@@ -124,8 +148,9 @@ def go_on(world: Any, top: Any, inner: Any, membrane: Any, path: Any, scratch: A
 
 
 @njit(cache=True, nogil=True)
-def torque_fraction(world: Any, noise: Any, time_s: float, speed_rpm: float) -> float:
+def torque_fraction(worlds: Any, noise: Any, time_s: float, speed_rpm: float) -> float:
     """Share of the rated torque: idle, what the cut takes, ripple of the shaft, noise and drift."""
+    world = worlds[0]
     cutting = NOMINAL_TORQUE * world.rate_mm3_s / world.nominal_rate_mm3_s
     if 0 < abs(speed_rpm) < NOMINAL_RPM:
         cutting *= NOMINAL_RPM / max(abs(speed_rpm), CUTS_ABOVE_RPM)
