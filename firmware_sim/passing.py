@@ -1,7 +1,7 @@
 """How time passes at the ball, compiled: the tip follows the motors, the ball cuts or presses, bone warms up.
 
-The world's numbers are one record, in an array of one because that is handed over fastest. Everything is computed in the order in which it
-is written here, in double precision: the same calls give the same bits.
+The world's numbers are one record, in an array of one because that is handed over fastest. Everything is computed in
+the order in which it is written here, in double precision: the same calls give the same bits.
 """
 
 import math
@@ -27,13 +27,14 @@ FLAP_PERIOD_S: Final = 0.25
 FLAP_PATH_LEAST: Final = 50
 
 THROUGH, LOOK_AT_FLAP, PATH_FULL = 0, 1, 2
-"""Why ``move``, ``stay`` and ``go_on`` return: the time is over, or the caller has to do something and call ``go_on``."""
+"""Why ``move``, ``stay`` and ``go_on`` return: time has passed, or the caller is to do something and to go on."""
 
 WORLD: Final = np.dtype(
     [
         # Of this specimen and its tool.
         ("x0_mm", "f8"), ("y0_mm", "f8"), ("step_mm", "f8"), ("highest_mm", "f8"),
-        ("power_up_mm", "f8", (3,)), ("end_stops_mm", "f8", (3,)), ("ball_offset_mm", "f8", (3,)), ("ball_radius_mm", "f8"), ("turning_radius_mm", "f8"),
+        ("power_up_mm", "f8", (3,)), ("end_stops_mm", "f8", (3,)),
+        ("ball_offset_mm", "f8", (3,)), ("ball_radius_mm", "f8"), ("turning_radius_mm", "f8"),
         ("stiffness_n_per_mm", "f8"), ("flap_softening", "f8"), ("nominal_rate_mm3_s", "f8"),
         ("torque_noise", "f8"), ("torque_ripple", "f8"), ("torque_drift", "f8"), ("phases_rad", "f8", (4,)),
         # What somebody may change.
