@@ -20,19 +20,20 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from firmware_sim.cutting import carve_balls, new_scratch
-from firmware_sim.mechanics import AxesMm
-from firmware_sim.passing import (
+from firmware_sim.cutting import (
     LONGEST_STEP_MM,
     LOOK_AT_FLAP,
     NOMINAL_RATE_MM2_PER_S,
     THROUGH,
     WORLD,
+    carve_balls,
     go_on,
     move,
+    new_scratch,
     stay,
     torque_fraction,
 )
+from firmware_sim.mechanics import AxesMm
 from firmware_sim.skull import Array, Skull
 from firmware_sim.specimen import Specimen
 from firmware_sim.truth import FREE_RING_SHARE, Truth, disc, fit_ring, read_ring
