@@ -99,7 +99,8 @@ class CanWire:
 
     def _collect(self) -> None:
         for node in self._nodes:
-            self._pending.extend((frame, node) for frame in node.transmit())
+            for frame in node.transmit():
+                self._pending.append((frame, node))
 
     def _deliver(self, arrival_s: float, frame: Frame, sender: object) -> None:
         arrived = self.carried(frame, sender in self._nodes)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from firmware_sim.can_wire import Frame
-from firmware_sim.canopen_dictionary import U8, U16, U32, Abort, Entry, Key, ObjectDictionary, SdoAbort
+from firmware_sim.canopen_dictionary import U8, U16, U32, Abort, Entry, IntegerType, Key, ObjectDictionary, SdoAbort
 
 PDO_COUNT = 4
 _INVALID = 0x8000_0000
@@ -27,6 +27,17 @@ class Accepted:
     at_once: bool
 
 
+@dataclass(frozen=True)
+class _EventDriven:
+    """A PDO that is sent by itself, as its records say until they are written again."""
+
+    number: int
+    can_id: int
+    inhibit_s: float
+    timer_s: float
+    mapped: tuple[tuple[IntegerType, Entry], ...]
+
+
 @dataclass
 class _Outgoing:
     sent: bytes | None = None
@@ -42,6 +53,8 @@ class Pdos:
         self._dictionary = dictionary
         self._outgoing = [_Outgoing() for _ in range(PDO_COUNT)]
         self._waiting: dict[int, bytes] = {}
+        self._event_driven: list[_EventDriven] | None = None
+        """Read from the dictionary when it is needed; None since a record was written."""
         for number in range(PDO_COUNT):
             enabled = 0 if number == 0 else _INVALID
             dictionary.add_record(
@@ -69,6 +82,7 @@ class Pdos:
         for subindex, value in enumerate([len(mapped), *mapped]):
             entry = self._dictionary.entry((base + _MAPPING + number, subindex))
             entry.default = entry.value = value
+        self._event_driven = None
 
     def start(self, time_s: float) -> None:
         """The node became operational: event-driven PDOs tell their first state."""
@@ -76,6 +90,15 @@ class Pdos:
         self._outgoing = [_Outgoing(sent_at_s=time_s - 1.0) for _ in range(PDO_COUNT)]
 
     # --- configuration
+
+    def written(self, key: Key) -> None:
+        """The host has written an object."""
+        if _RECEIVE <= key[0] < _TRANSMIT + _MAPPING + PDO_COUNT:
+            self._event_driven = None
+
+    def restored(self) -> None:
+        """The dictionary is at its defaults."""
+        self._event_driven = None
 
     def check(self, key: Key, value: int) -> None:
         """Refuse what CiA 301 does not allow to be written to a PDO's records."""
@@ -159,17 +182,28 @@ class Pdos:
 
     def due(self, time_s: float) -> Iterator[Frame]:
         """Event-driven PDOs: on change, not before the inhibit time, and at the latest after the event timer."""
-        for number, can_id, kind in self._valid_outgoing():
-            if kind < 254:
-                continue
-            state = self._outgoing[number]
-            inhibit_s = self._dictionary[_TRANSMIT + number, 3] * 1e-4
-            timer_s = self._dictionary[_TRANSMIT + number, 5] * 1e-3
-            data = self._data(number)
+        if self._event_driven is None:
+            self._event_driven = [
+                self._sent_by_itself(number, can_id) for number, can_id, kind in self._valid_outgoing() if kind >= 254
+            ]
+        for pdo in self._event_driven:
+            state = self._outgoing[pdo.number]
+            data = b"".join([kind.encode(entry.value) for kind, entry in pdo.mapped])
             age_s = time_s - state.sent_at_s + 1e-9
-            if (data != state.sent and age_s >= inhibit_s) or (timer_s and age_s >= timer_s):
+            if (data != state.sent and age_s >= pdo.inhibit_s) or (pdo.timer_s and age_s >= pdo.timer_s):
                 state.sent, state.sent_at_s = data, time_s
-                yield can_id, data
+                yield pdo.can_id, data
+
+    def _sent_by_itself(self, number: int, can_id: int) -> _EventDriven:
+        objects = self._dictionary
+        entries = [objects.entry(key) for key, _ in self._mapping(_TRANSMIT + number)]
+        return _EventDriven(
+            number,
+            can_id,
+            objects[_TRANSMIT + number, 3] * 1e-4,
+            objects[_TRANSMIT + number, 5] * 1e-3,
+            tuple((entry.kind, entry) for entry in entries if entry.kind is not None),
+        )
 
     def _valid_outgoing(self) -> Iterator[tuple[int, int, int]]:
         for number in range(PDO_COUNT):

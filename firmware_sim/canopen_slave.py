@@ -48,6 +48,7 @@ class CanopenSlave:
         self._errors: dict[int, int] = {}
         self._history: list[int] = []
         self._add_communication_objects(device_type, name, hardware, software, serial)
+        self._producer_ms = self.dictionary.entry((0x1017, 0))
         self._sdo = SdoServer(self.read_object, self.write_object)
         self.pdos = Pdos(self.dictionary, node_id)
 
@@ -72,6 +73,8 @@ class CanopenSlave:
 
     def transmit(self) -> list[Frame]:
         """The frames that the node wants to send since the last call."""
+        if not self._out:
+            return []
         frames = list(self._out)
         self._out.clear()
         return frames
@@ -101,7 +104,7 @@ class CanopenSlave:
             if self.minds_silence:
                 self._lose_heartbeat()
         self.run_cycle(time_s)
-        producer_s = self.dictionary[0x1017, 0] / 1000
+        producer_s = self._producer_ms.value / 1000
         if producer_s > 0 and time_s >= self._heartbeat_at_s:
             self._out.append((0x700 + self.node_id, bytes((self.nmt_state,))))
             self._heartbeat_at_s = max(self._heartbeat_at_s + producer_s, time_s)
@@ -189,6 +192,7 @@ class CanopenSlave:
     def _reset(self, *, below: int) -> None:
         self.nmt_state = NmtState.INITIALISING
         self.dictionary.restore(below=below)
+        self.pdos.restored()
         self._boot_at_s = self.time_s + BOOT_S
         self._watch_until_s = None
         self._errors.clear()
@@ -267,6 +271,7 @@ class CanopenSlave:
         if key[0] == 0x1014:
             self._check_emergency_id(value)
         self.dictionary[key] = value
+        self.pdos.written(key)
         if key == (0x1003, 0):
             self._history.clear()
         elif key[0] == 0x1016:

@@ -77,6 +77,15 @@ class Cia402Drive(CanopenSlave):
         """What the shaft does of what it is told; a healthy drive does all."""
         self.runs_by_itself = False
         self._add_drive_objects(max_speed_rpm)
+        # What every cycle asks for.
+        entry = self.dictionary.entry
+        self._mode, self._target_rpm = entry((0x6060, 0)), entry((0x60FF, 0))
+        self._highest_rpm, self._motor_rpm = entry((0x607F, 0)), entry((0x6080, 0))
+        self._up_rpm_per_s, self._down_rpm_per_s = entry((0x6083, 0)), entry((0x6084, 0))
+        self._max_torque, self._standing_rpm = entry((0x6072, 0)), entry((0x606F, 0))
+        self._window_rpm, self._window_ms = entry((0x606D, 0)), entry((0x606E, 0))
+        self._told_demand, self._told_speed = entry((0x606B, 0)), entry((0x606C, 0))
+        self._told_torque, self._told_status = entry((0x6077, 0)), entry((0x6041, 0))
         self._publish()
 
     @property
@@ -130,17 +139,17 @@ class Cia402Drive(CanopenSlave):
 
     def run_cycle(self, time_s: float) -> None:
         """One step of ramp, controller, shaft and supervision."""
-        servo, objects = self._servo, self.dictionary
+        servo = self._servo
         powered = self._state in _POWERED
         if powered:
             self._ramp()
         elif self.runs_by_itself:
             powered = True
-            servo.ramp(OWN_SPEED_RPM, objects[0x6083, 0], objects[0x6084, 0], CYCLE_S)
+            servo.ramp(OWN_SPEED_RPM, self._up_rpm_per_s.value, self._down_rpm_per_s.value, CYCLE_S)
         load = self._load.torque_fraction(time_s, servo.speed_rpm)
-        servo.advance(load, objects[0x6072, 0] / 1000, CYCLE_S, powered=powered)
+        servo.advance(load, self._max_torque.value / 1000, CYCLE_S, powered=powered)
         self._load.turn(time_s, servo.speed_rpm)
-        within = abs(servo.speed_rpm - self._wanted_rpm) <= objects[0x606D, 0]
+        within = abs(servo.speed_rpm - self._wanted_rpm) <= self._window_rpm.value
         self._reached_s = self._reached_s + CYCLE_S if within else 0.0
         self._supervise()
         self._finish_stops()
@@ -208,7 +217,7 @@ class Cia402Drive(CanopenSlave):
             self._go(State.SWITCH_ON_DISABLED)
 
     def _finish_stops(self) -> None:
-        if abs(self._servo.speed_rpm) > self.dictionary[0x606F, 0]:
+        if abs(self._servo.speed_rpm) > self._standing_rpm.value:
             return
         if self._state is State.FAULT_REACTION_ACTIVE:
             # A blocked shaft is not pushed on until the ramp is over.
@@ -224,16 +233,17 @@ class Cia402Drive(CanopenSlave):
 
     @property
     def _limit_rpm(self) -> int:
-        return min(self.dictionary[0x607F, 0], self.dictionary[0x6080, 0])
+        return min(self._highest_rpm.value, self._motor_rpm.value)
 
     @property
     def _wanted_rpm(self) -> int:
         """The target within the limits, or standstill."""
         if self._state is not State.OPERATION_ENABLED or self._leave_for is not None:
             return 0
-        if self._controlword & _HALT or self.dictionary[0x6060, 0] != PROFILE_VELOCITY:
+        if self._controlword & _HALT or self._mode.value != PROFILE_VELOCITY:
             return 0
-        return max(-self._limit_rpm, min(self._limit_rpm, self.dictionary[0x60FF, 0]))
+        limit_rpm = self._limit_rpm
+        return max(-limit_rpm, min(limit_rpm, self._target_rpm.value))
 
     def _ramp(self) -> None:
         objects = self.dictionary
@@ -242,8 +252,8 @@ class Cia402Drive(CanopenSlave):
             or (self._state is State.FAULT_REACTION_ACTIVE and objects[0x605E, 0] == 2)
             or (self._state is State.OPERATION_ENABLED and self._controlword & _HALT and objects[0x605D, 0] == 2)
         )
-        deceleration = objects[0x6085, 0] if quick else objects[0x6084, 0]
-        self._servo.ramp(self._wanted_rpm * self.speed_factor, objects[0x6083, 0], deceleration, CYCLE_S)
+        deceleration = objects[0x6085, 0] if quick else self._down_rpm_per_s.value
+        self._servo.ramp(self._wanted_rpm * self.speed_factor, self._up_rpm_per_s.value, deceleration, CYCLE_S)
 
     def _supervise(self) -> None:
         servo = self._servo
@@ -261,19 +271,19 @@ class Cia402Drive(CanopenSlave):
     # --- what the host sees
 
     def _publish(self) -> None:
-        objects, servo = self.dictionary, self._servo
-        objects[0x606B, 0] = round(servo.demand_rpm)
-        objects[0x606C, 0] = round(servo.speed_rpm)
-        objects[0x6077, 0] = max(-32768, min(32767, round(1000 * servo.torque)))
-        word = self._state.value | (0 if self._state is State.NOT_READY else _VOLTAGE_ENABLED | _REMOTE)
-        if abs(servo.speed_rpm) <= objects[0x606F, 0]:
+        servo, state = self._servo, self._state
+        self._told_demand.value = round(servo.demand_rpm)
+        self._told_speed.value = round(servo.speed_rpm)
+        self._told_torque.value = max(-32768, min(32767, round(1000 * servo.torque)))
+        word = state.value | (0 if state is State.NOT_READY else _VOLTAGE_ENABLED | _REMOTE)
+        if abs(servo.speed_rpm) <= self._standing_rpm.value:
             word |= _SPEED_ZERO
-        if self._state is State.OPERATION_ENABLED and abs(objects[0x60FF, 0]) > self._limit_rpm:
+        if state is State.OPERATION_ENABLED and abs(self._target_rpm.value) > self._limit_rpm:
             word |= _INTERNAL_LIMIT
         # Within the window (606D) for longer than the window time (606E); with halt, at standstill.
-        if self._state in _POWERED and self._reached_s * 1000 > objects[0x606E, 0]:
+        if state in _POWERED and self._reached_s * 1000 > self._window_ms.value:
             word |= _TARGET_REACHED
-        objects[0x6041, 0] = word
+        self._told_status.value = word
 
     def _add_drive_objects(self, max_speed_rpm: int) -> None:
         add = self.dictionary.add

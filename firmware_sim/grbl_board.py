@@ -144,7 +144,7 @@ class GrblBoard:
         next_s = self._uart.next_arrival_s
         if stepper.running:
             next_s = min(next_s, stepper.next_time_s, self._tick_s)
-        return min(next_s, self._program_at_s())
+        return min(next_s, self._program_at_s()) if self._something_happened else next_s
 
     def _program_at_s(self) -> float:
         """When the program goes on: awake, not blocked by an interrupt, and with room for what it has said."""
@@ -178,7 +178,6 @@ class GrblBoard:
     def _interrupt(self, byte: int) -> None:
         """Real-time characters never reach the receive buffer."""
         program = self._program
-        self._something_happened = True
         if byte in _FLAG_BYTES:
             program.flags.add(_FLAG_BYTES[byte])
         elif byte == _RESET:
@@ -192,7 +191,10 @@ class GrblBoard:
         elif byte in OVERRIDE_BYTES:
             program.overrides.ask(byte)
         elif byte < _FIRST_REALTIME:
+            if self._takes_quietly(byte):
+                return
             self._uart.store(byte)
+        self._something_happened = True
 
     def _turn_motors(self) -> None:
         program, now_s = self._program, self._now_s
@@ -202,10 +204,12 @@ class GrblBoard:
             if not stepper.running:
                 program.flags.add(Flag.CYCLE_STOP)
                 program.idle_motors()
-        x, y, z = (round(n) / s for n, s in zip(stepper.position, self._motor_steps_per_mm, strict=True))
-        if (x, y, z) != self._shown:
-            self._shown = (x, y, z)
-            self._mechanics.move_to(now_s, self._shown)
+        # Written out: this runs at every byte and at every tick.
+        (x, y, z), (along_x, along_y, along_z) = stepper.position, self._motor_steps_per_mm
+        shown = (round(x) / along_x, round(y) / along_y, round(z) / along_z)
+        if shown != self._shown:
+            self._shown = shown
+            self._mechanics.move_to(now_s, shown)
         self._look_at_switches()
 
     def _look_at_switches(self) -> None:
@@ -224,3 +228,14 @@ class GrblBoard:
                 program.alarm = Alarm.HARD_LIMIT
                 self._something_happened = True
             self._limits_pressed = pressed
+
+    def _takes_quietly(self, byte: int) -> bool:
+        """Whether the program has put a byte into its line, and would do nothing else if it were woken."""
+        program = self._program
+        return (
+            not self._something_happened
+            and self._dialect.poll_s == 0.0
+            and program.blocked_until_s <= self._now_s
+            and self._uart.room_at_s(self._dialect.tx_size) <= self._now_s
+            and program.take_quietly(byte)
+        )

@@ -33,6 +33,11 @@ class Overrides:
         if byte not in self._asked:
             self._asked.append(byte)
 
+    @property
+    def waits(self) -> bool:
+        """Whether something was asked and not yet applied."""
+        return bool(self._asked)
+
     def apply(self, program: "Program") -> None:
         """Act on what was asked."""
         if not self._asked:

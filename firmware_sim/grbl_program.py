@@ -58,6 +58,8 @@ class Program:
         self.jog_cancels = 0
         self.locked_at_start = settings.flag(22)
         self._line = bytearray()
+        self._listens = False
+        """Whether it waits for the next byte, with nothing else in hand."""
         self._begin()
 
     def _begin(self) -> None:
@@ -189,6 +191,7 @@ class Program:
     def run(self) -> Waits:
         """Power-up, and again after every reset."""
         while True:
+            self._listens = False
             self.uart.rx.clear()
             self._begin()
             self.stepper.reset()
@@ -202,7 +205,9 @@ class Program:
                     yield from self._read_lines()
                     self.start_cycle_if_queued()
                     yield from self.realtime()
+                    self._listens = True
                     yield None
+                    self._listens = False
 
     def _start(self) -> Waits:
         if self.settings.flag(22) and self.locked_at_start:
@@ -241,6 +246,16 @@ class Program:
             except Aborted:
                 self.answer(0)
                 raise
+
+    def take_quietly(self, byte: int) -> bool:
+        """Put a byte into the line without a turn of the loop, if that would do no more than this."""
+        idle = self._listens and not (self.flags or self.alarm or self.uart.rx or self.overrides.waits)
+        starts = self.planner.blocks and self.state is not State.RUN
+        if not idle or starts or byte in b"\r\n":
+            return False
+        self._take(byte)
+        grbl_realtime.keep_prepared(self)
+        return True
 
     def forget_line(self) -> None:
         """What has been read of a line so far."""
@@ -303,8 +318,11 @@ class Program:
 
     def realtime(self) -> Waits:
         """Look at the flags, and stay here while suspended."""
-        yield from grbl_realtime.look_at_flags(self)
-        while self.suspend.active:
+        while True:
+            if self.alarm:
+                yield from grbl_realtime.report_alarm(self)
+            grbl_realtime.look_at_flags(self)
+            if not self.suspend.active:
+                return
             yield from grbl_realtime.while_suspended(self)
             yield None
-            yield from grbl_realtime.look_at_flags(self)

@@ -8,16 +8,16 @@ if TYPE_CHECKING:
     from firmware_sim.grbl_program import Program
 
 _SPINDLE_RESTORE_S = 4.0
+_STOPS = frozenset({Flag.HOLD, Flag.DOOR, Flag.MOTION_CANCEL, Flag.SLEEP})
+_PLAYS = frozenset({State.RUN, State.HOLD, State.DOOR, State.JOG, State.SLEEP})
 
 
-def look_at_flags(program: "Program") -> Waits:
-    """Act on alarms, then on each flag, and keep the segment buffer full.
+def look_at_flags(program: "Program") -> None:
+    """Act on each flag, and keep the segment buffer full.
 
     Raises:
         Aborted: a reset was asked for.
     """
-    if program.alarm:
-        yield from _report_alarm(program)
     flags = program.flags
     if flags:
         if Flag.RESET in flags:
@@ -35,11 +35,17 @@ def look_at_flags(program: "Program") -> Waits:
             flags.discard(Flag.CYCLE_STOP)
             _cycle_stop(program)
     program.overrides.apply(program)
-    if program.state in {State.RUN, State.HOLD, State.DOOR, State.JOG, State.SLEEP} and program.stepper.running:
+    keep_prepared(program)
+
+
+def keep_prepared(program: "Program") -> None:
+    """The segment buffer full, where segments are being played."""
+    if program.stepper.running and program.state in _PLAYS:
         program.stepper.prepare()
 
 
-def _report_alarm(program: "Program") -> Waits:
+def report_alarm(program: "Program") -> Waits:
+    """Say it; after some alarms, wait for a reset."""
     alarm = program.alarm
     assert alarm is not None
     program.state = State.ALARM
@@ -58,7 +64,7 @@ def _report_alarm(program: "Program") -> Waits:
 
 def _stops(program: "Program") -> None:
     flags, suspend = program.flags, program.suspend
-    asked = flags & {Flag.HOLD, Flag.DOOR, Flag.MOTION_CANCEL, Flag.SLEEP}
+    asked = flags & _STOPS
     if not asked:
         return
     flags -= asked

@@ -12,6 +12,8 @@ HomingPart = Generator[float | None, None, "Alarm | None"]
 class State(Enum):
     """What the board says it is."""
 
+    __hash__ = object.__hash__  # Enum's own is in Python, and sets of these are asked for ten thousand times a second.
+
     IDLE = "Idle"
     ALARM = "Alarm"
     CHECK = "Check"
@@ -25,6 +27,8 @@ class State(Enum):
 
 class Flag(Enum):
     """What interrupts ask of the program."""
+
+    __hash__ = object.__hash__
 
     RESET = auto()
     STATUS = auto()

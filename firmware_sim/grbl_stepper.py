@@ -183,9 +183,13 @@ class Stepper:
             if now_s >= self._segment_start_s + segment.duration_s - 1e-9:
                 share = 1.0
             part = share - self._played
-            for axis in range(3):
-                if self.moves_axis[axis]:
-                    self.position[axis] += segment.steps[axis] * part
+            moves, position, (x, y, z) = self.moves_axis, self.position, segment.steps
+            if moves[0]:
+                position[0] += x * part
+            if moves[1]:
+                position[1] += y * part
+            if moves[2]:
+                position[2] += z * part
             self._played = share
             if share < 1.0:
                 break

@@ -1,7 +1,6 @@
 """What only a scorer may ask of the world: how far the ring is milled, and what harm was done."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -65,11 +64,11 @@ def read_ring(skull: Skull, center_mm: Array, radius_mm: float, n: int) -> RingS
     return RingState(np.asarray(angles), skull.completion_at(x[best], y[best]), remaining[best], depth)
 
 
-def fit_ring(path_xy_mm: Sequence[tuple[float, float]], middle_mm: Array) -> tuple[Array, float]:
-    """Least-squares circle through where the ball cut; 2 mm round ``middle_mm`` before there was any cut."""
+def fit_ring(path_xy_mm: Array, middle_mm: Array) -> tuple[Array, float]:
+    """Least-squares circle through (n, 2) where the ball cut; 2 mm round ``middle_mm`` before there was any cut."""
     if len(path_xy_mm) < 20:
         return middle_mm, 2.0
-    xy = np.array(path_xy_mm) - middle_mm
+    xy = path_xy_mm - middle_mm
     a = np.column_stack([2 * xy, np.ones(len(xy))])
     solution, *_ = np.linalg.lstsq(a, (xy**2).sum(axis=1), rcond=None)
     radius = math.sqrt(max(1e-6, float(solution[2] + solution[:2] @ solution[:2])))
