@@ -27,7 +27,7 @@ folder_option = click.option(
 
 @click.group(no_args_is_help=False)
 def runs() -> None:
-    """List, show, report and replay recorded runs."""
+    """List, show, report, replay and export recorded runs."""
 
 
 @runs.command("list")
@@ -137,6 +137,44 @@ def replay(run_folder: Path, weights: Path | None, policy: str | None, folder: P
     from cli.redecide import decide_again
 
     decide_again(located(run_folder, folder), weights, policy, json_file)
+
+
+@runs.command()
+@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+@click.option(
+    "--mcap",
+    "mcap_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="MCAP, for Foxglove. Needs micromill[foxglove].",
+)
+@click.option(
+    "--rerun",
+    "rerun_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="A Rerun recording, FILE.rrd. Needs micromill[rerun].",
+)
+@folder_option
+def export(run_folder: Path, mcap_file: Path | None, rerun_file: Path | None, folder: Path) -> None:
+    """Write a run for other programs: pictures, path, surface, figures and reasons on one clock."""
+    from cli import record_export
+
+    record_export.export(located(run_folder, folder), mcap_file, rerun_file)
+
+
+@runs.command()
+@click.argument("run_folder", metavar="RUN", type=click.Path(path_type=Path))
+@click.option("--in", "viewer", type=click.Choice(["foxglove", "rerun"]), required=True, help="Which viewer looks.")
+@folder_option
+def follow(run_folder: Path, viewer: str, folder: Path) -> None:
+    """Show a run that goes on in Foxglove or Rerun, from its growing record.
+
+    It reads files and listens to nobody: the run does not know of it. Viewers on this computer can connect.
+    """
+    from cli import record_export
+
+    record_export.follow(located(run_folder, folder), viewer)
 
 
 def located(run_folder: Path, folder: Path) -> Path:

@@ -141,16 +141,26 @@ def read_run(folder: Path) -> Run:
     Raises:
         ConfigError: no run there, or a line that is damaged in the middle of the record.
     """
+    header = read_header(folder)
+    events, damage = read_lines(folder / "events.jsonl")
+    result_file = folder / "result.json"
+    result = _object_in(result_file) if result_file.exists() else None
+    return Run(folder, header, events, result, damage)
+
+
+def read_header(folder: Path) -> dict[str, Any]:
+    """What ran: the header of a run's folder.
+
+    Raises:
+        ConfigError: no run there, or of another schema.
+    """
     for name in ("header.json", "events.jsonl"):
         if not (folder / name).is_file():
             raise ConfigError(f"{folder}: no run here ({name} is missing)")
     header = _object_in(folder / "header.json")
     if header.get("schema") != SCHEMA:
         raise ConfigError(f"{folder}/header.json: schema {header.get('schema')!r}, this version reads {SCHEMA}")
-    events, damage = read_lines(folder / "events.jsonl")
-    result_file = folder / "result.json"
-    result = _object_in(result_file) if result_file.exists() else None
-    return Run(folder, header, events, result, damage)
+    return header
 
 
 def write_atomically(path: Path, content: Any) -> None:
