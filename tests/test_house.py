@@ -21,7 +21,8 @@ HEAVY = (
     "onnxruntime",
     "pydantic",
     "rich",
-    "plotly",
+    "foxglove",
+    "rerun",
     "canopen",
     "can",
 )

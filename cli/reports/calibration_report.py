@@ -8,12 +8,15 @@ import numpy.typing as npt
 
 from calib.calibration_file import Calibration
 from calib.procedure import RMSE_LIMIT_MM
+from cli.reports.chart import Chart, Range
 from cli.reports.template import filled
 
 PAPER_RMSE_MM = 0.77
+PAPER_TIP_RMSE_PX = 3.18
 LONGER_PX, LONGER_MM = 40.0, 20.0
 """Residuals are drawn so many times as long as they are."""
-INK, LEFT_OUT = "#2563a8", "#b3262e"
+ROOM_MM = 2.5
+EYES = ("left", "right")
 
 Floats = npt.NDArray[np.float64]
 
@@ -26,7 +29,7 @@ def write_calibration_report(path: Path, calibration: Calibration, file: Path, d
         file=file,
         figures=_figures(calibration, duration_s),
         setpoints=[_row(calibration, index) for index in range(len(calibration.setpoints))],
-        drawing=_drawing(calibration),
+        panels=_panels(calibration),
     )
     path.write_text(page, encoding="utf-8")
 
@@ -40,7 +43,7 @@ def _figures(calibration: Calibration, duration_s: float) -> list[tuple[str, str
     return [
         ("held-out error at the setpoints (RMSE)", f"{calibration.rmse_mm:.3f} mm", f"{RMSE_LIMIT_MM:g} mm", ""),
         ("predicted over the box (RMSE)", f"{calibration.predicted_rmse_mm:.3f} mm", "", f"{PAPER_RMSE_MM:g} mm"),
-        ("where the drill was seen, off the fit (RMSE)", f"{error_px:.2f} px", "", ""),
+        ("where the drill was seen, off the fit (RMSE)", f"{error_px:.2f} px", "", f"{PAPER_TIP_RMSE_PX:g} px"),
         ("setpoints in use", f"{len(used)} of {len(calibration.setpoints)}", "", "5"),
         ("model, chosen by held-out error in mm", f"{calibration.model} ({candidates})", "", "linear"),
         ("handedness", calibration.handedness, "right-handed", ""),
@@ -69,36 +72,37 @@ def _pixel_errors(calibration: Calibration) -> tuple[Floats, Floats]:
     return left - seen_left, right - seen_right
 
 
-def _drawing(calibration: Calibration) -> str:
+def _panels(calibration: Calibration) -> list[dict[str, Any]]:
     """Both pictures, and the box from above and from the side; each setpoint with its residual, much enlarged."""
-    import plotly.graph_objects as go
-    from plotly.subplots import make_subplots
-
     left_px, right_px = _pixel_errors(calibration)
     points = np.array([setpoint.point_mm for setpoint in calibration.setpoints])
     residuals = np.array([setpoint.residual_mm for setpoint in calibration.setpoints])
-    seen = [np.array([getattr(s, key) for s in calibration.setpoints]) for key in ("left_px", "right_px")]
-    titles = ("left picture, px", "right picture, px", "from above: x and y, mm", "from the side: y and z, mm")
-    picture = make_subplots(rows=2, cols=2, subplot_titles=titles, vertical_spacing=0.12)
-    panels = [
-        (seen[0], left_px * LONGER_PX),
-        (seen[1], right_px * LONGER_PX),
-        (points[:, :2], residuals[:, :2] * LONGER_MM),
-        (points[:, 1:], residuals[:, 1:] * LONGER_MM),
+    seen_left, seen_right = (np.array([getattr(s, f"{eye}_px") for s in calibration.setpoints]) for eye in EYES)
+    center_px = calibration.pair.optics.center_px
+    picture: tuple[Range, Range] = ((0.0, 2 * center_px[0]), (2 * center_px[1], 0.0))
+    above, side = _room(points[:, :2]), _room(points[:, 1:])
+    used = [setpoint.used for setpoint in calibration.setpoints]
+    return [
+        _panel("left picture, px", seen_left, left_px, LONGER_PX, picture, used),
+        _panel("right picture, px", seen_right, right_px, LONGER_PX, picture, used),
+        _panel("from above: x and y, mm", points[:, :2], residuals[:, :2], LONGER_MM, above, used),
+        _panel("from the side: y and z, mm", points[:, 1:], residuals[:, 1:], LONGER_MM, side, used),
     ]
-    colors = [INK if setpoint.used else LEFT_OUT for setpoint in calibration.setpoints]
-    for index, (start, arrow) in enumerate(panels):
-        at = {"row": index // 2 + 1, "col": index % 2 + 1}
-        ends = start + arrow
-        lines_x = [value for pair in zip(start[:, 0], ends[:, 0], strict=True) for value in (*pair, None)]
-        lines_y = [value for pair in zip(start[:, 1], ends[:, 1], strict=True) for value in (*pair, None)]
-        picture.add_trace(go.Scatter(x=lines_x, y=lines_y, mode="lines", line={"color": "#8a8f99"}), **at)
-        mark = {"size": 8, "color": colors}
-        picture.add_trace(go.Scatter(x=start[:, 0], y=start[:, 1], mode="markers", marker=mark), **at)
-        picture.update_xaxes(constrain="domain", **at)
-        picture.update_yaxes(scaleanchor=f"x{index + 1 if index else ''}", constrain="domain", **at)
-    for column in (1, 2):
-        picture.update_xaxes(range=[0, 2 * calibration.pair.optics.center_px[0]], row=1, col=column)
-        picture.update_yaxes(range=[2 * calibration.pair.optics.center_px[1], 0], row=1, col=column)
-    picture.update_layout(height=760, showlegend=False, template="plotly_white", margin={"t": 40, "b": 20})
-    return str(picture.to_html(full_html=False, include_plotlyjs="inline", config={"displayModeBar": False}))
+
+
+def _panel(
+    title: str, start: Floats, off: Floats, longer: float, ranges: tuple[Range, Range], used: list[bool]
+) -> dict[str, Any]:
+    chart = Chart(*ranges, width=520.0, height=330.0, even=True)
+    marks = []
+    for place, end, good in zip(start.tolist(), (start + longer * off).tolist(), used, strict=True):
+        x, y = chart.at(place[0], place[1])
+        to_x, to_y = chart.at(end[0], end[1])
+        marks.append({"x": x, "y": y, "to_x": to_x, "to_y": to_y, "used": good})
+    return {"title": title, "chart": chart, "marks": marks, "longer": f"{longer:g}"}
+
+
+def _room(points: Floats) -> tuple[Range, Range]:
+    """Both ranges of points (n, 2), with some room for their lines."""
+    low, high = points.min(axis=0) - ROOM_MM, points.max(axis=0) + ROOM_MM
+    return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))

@@ -5,6 +5,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
+from cli.reports.chart import Chart, Tick
 from cli.reports.template import filled
 from studies.tables import PUBLISHED, Figures, tables
 
@@ -15,8 +16,12 @@ DRAWN = {
     "completion": ("mape", "penetration_recall", "upper_bound_coverage", "ap50_95"),
 }
 """What is drawn of each experiment; the rest stands in the tables."""
-COLORS = ("#2563a8", "#c2410c", "#0f766e")
-FAINT = {"size": 5, "color": "#8a8f99", "opacity": 0.6}
+COLORS = ("one", "two", "three")
+"""Of the recipes, as the stylesheet names them."""
+NARROW, WIDE, MOST_BESIDE = 520.0, 1080.0, 5
+"""Widths of a chart; with more columns it is a wide one."""
+ASIDE, ROOM = 0.2, 0.08
+"""Between recipes in one column, as a share of it; above and below the data, as a share of their range."""
 
 
 def write_study_report(
@@ -33,59 +38,66 @@ def write_study_report(
         count=len(trials),
         heading=PUBLISHED,
         tables=tables(name, recipes, published),
-        drawing=_drawing(name, recipes, published, trials),
+        panels=_panels(name, recipes, published, trials),
+        recipes=list(zip(recipes, cycle(COLORS))),
     )
     path.write_text(page, encoding="utf-8")
 
 
-def _drawing(
+def _panels(
     name: str,
     recipes: Mapping[str, Mapping[str, Any]],
     published: Mapping[str, float],
     trials: Mapping[str, Mapping[str, Any]],
-) -> str:
-    """Every figure with its interval, and each trial as a dot where a trial has it; as HTML that needs no network."""
-    import plotly.graph_objects as go
-    from plotly.subplots import make_subplots
-
+) -> list[dict[str, Any]]:
+    """Every figure with its interval, and each trial as a dot where a trial has it."""
     series = _series(recipes)
     drawn = [figure for figure in DRAWN[name] if any(_values(columns, figure) for columns in series.values())]
-    if not drawn:
-        return "<p>No trial gave a figure.</p>"
-    picture = make_subplots(rows=(len(drawn) + 1) // 2, cols=2, subplot_titles=drawn, vertical_spacing=0.16)
-    for index, figure in enumerate(drawn):
-        at = {"row": index // 2 + 1, "col": index % 2 + 1}
-        dots = [(t["recipe"], t[figure]) for t in trials.values() if t.get(figure) is not None and "recipe" in t]
-        if dots:
-            where, what = zip(*dots, strict=True)
-            picture.add_trace(go.Scatter(x=where, y=what, mode="markers", marker=FAINT, showlegend=False), **at)
-        for (recipe, columns), color in zip(series.items(), cycle(COLORS)):
-            values = _values(columns, figure)
-            low, high = ([columns[c].get(figure + end, v) for c, v in values.items()] for end in ("_low", "_high"))
-            middle = list(values.values())
-            interval = {
-                "type": "data",
-                "symmetric": False,
-                "array": [top - value for top, value in zip(high, middle, strict=True)],
-                "arrayminus": [value - bottom for bottom, value in zip(low, middle, strict=True)],
+    return [_panel(figure, series, published.get(figure), trials) for figure in drawn]
+
+
+def _panel(
+    figure: str,
+    series: Mapping[str, Mapping[str, Figures]],
+    paper: float | None,
+    trials: Mapping[str, Mapping[str, Any]],
+) -> dict[str, Any]:
+    names = list(dict.fromkeys(column for columns in series.values() for column in columns))
+    dots = [
+        (str(t["recipe"]), float(t[figure])) for t in trials.values() if t.get(figure) is not None and "recipe" in t
+    ]
+    marks = []
+    for index, (recipe, columns) in enumerate(series.items()):
+        # Recipes stand beside each other where they share columns.
+        aside = 0.0 if len(columns) == 1 else ASIDE * (index - (len(series) - 1) / 2)
+        for column, value in _values(columns, figure).items():
+            low, high = (float(columns[column].get(figure + end, value)) for end in ("_low", "_high"))
+            marks.append((recipe, column, names.index(column) + aside, low, value, high, COLORS[index % len(COLORS)]))
+    seen = [value for _, value in dots] + [value for mark in marks for value in mark[3:6]]
+    low, high = (pick([*seen, *([] if paper is None else [paper])]) for pick in (min, max))
+    room = ROOM * ((high - low) or abs(high) or 1.0)
+    wide = len(names) > MOST_BESIDE
+    ends = (-0.5, len(names) - 0.5), (low - room, high + room)
+    chart = Chart(*ends, width=WIDE if wide else NARROW, height=300.0, named=True)
+    return {
+        "title": figure,
+        "chart": chart,
+        "wide": wide,
+        "names": [Tick(chart.at(index, low)[0], column) for index, column in enumerate(names)],
+        "paper": None if paper is None else chart.at(0.0, paper)[1],
+        "dots": [chart.at(names.index(recipe), value) for recipe, value in dots if recipe in names],
+        "marks": [
+            {
+                "x": chart.at(x, value)[0],
+                "y": chart.at(x, value)[1],
+                "low": chart.at(x, low)[1],
+                "high": chart.at(x, high)[1],
+                "color": color,
+                "title": f"{recipe}, {column}: {value:.4g} ({low:.3g} to {high:.3g})",
             }
-            mark = {"size": 11, "color": color}
-            picture.add_trace(
-                go.Scatter(
-                    x=list(values), y=middle, error_y=interval, mode="markers", marker=mark, name=recipe,
-                    legendgroup=recipe, showlegend=index == 0,
-                ),
-                **at,
-            )  # fmt: skip
-        if figure in published:
-            picture.add_hline(
-                y=published[figure], line_dash="dash", line_color="#b3262e", annotation_text=PUBLISHED, **at
-            )
-    height = 400 * ((len(drawn) + 1) // 2)
-    # Recipes stand beside each other where they share columns.
-    mode = "group" if any(len(columns) > 1 for columns in series.values()) else "overlay"
-    picture.update_layout(height=height, template="plotly_white", margin={"t": 40, "b": 20}, scattermode=mode)
-    return str(picture.to_html(full_html=False, include_plotlyjs="inline", config={"displayModeBar": False}))
+            for recipe, column, x, low, value, high, color in marks
+        ],
+    }
 
 
 def _series(recipes: Mapping[str, Figures]) -> dict[str, dict[str, Figures]]:

@@ -31,7 +31,9 @@ class FoxgloveViewer:
     def __init__(self, context: foxglove.Context, header: dict[str, Any]) -> None:
         """Topics of a run that began at ``header["date"]``, or in 1970 where the record does not tell."""
         self._began_ns = round(_began(header).timestamp()) * 1_000_000_000
-        self._eyes = {eye: channels.CompressedImageChannel(f"/eyes/{eye}", context=context) for eye in ("left", "right")}
+        self._eyes = {
+            eye: channels.CompressedImageChannel(f"/eyes/{eye}", context=context) for eye in ("left", "right")
+        }
         self._marks = {
             eye: channels.ImageAnnotationsChannel(f"/eyes/{eye}/marks", context=context) for eye in ("left", "right")
         }
@@ -90,9 +92,7 @@ class FoxgloveViewer:
     def tip(self, t_s: float, tip_mm: Floats, axis: Floats) -> None:
         """The pose's x axis points up the shank."""
         x, y, z, w = _turn_x_onto(axis)
-        pose = messages.Pose(
-            position=_vector(tip_mm), orientation=messages.Quaternion(x=x, y=y, z=z, w=w)
-        )
+        pose = messages.Pose(position=_vector(tip_mm), orientation=messages.Quaternion(x=x, y=y, z=z, w=w))
         told = messages.PoseInFrame(timestamp=self._stamp(t_s), frame_id=FRAME, pose=pose)
         self._tell(self._tip, told, t_s)
 

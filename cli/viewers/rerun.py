@@ -30,11 +30,15 @@ class RerunViewer:
     def picture(self, t_s: float, eye: Eye, jpeg: bytes) -> None:
         """As the record keeps it; nothing is coded anew."""
         self._log(t_s, f"eyes/{eye}", rerun.EncodedImage(contents=jpeg, media_type="image/jpeg"))
+        # Without it pictures pile up in memory faster than they are written.
+        self._to.flush()
 
     def marks(self, t_s: float, eye: Eye, marks: Marks) -> None:
         """Dots on the ring, names at the landmarks, a circle where the ball is."""
         self._log(
-            t_s, f"eyes/{eye}/ring", rerun.Points2D(marks.ring_px, colors=marks.colors, radii=rerun.Radius.ui_points(RING_PX))
+            t_s,
+            f"eyes/{eye}/ring",
+            rerun.Points2D(marks.ring_px, colors=marks.colors, radii=rerun.Radius.ui_points(RING_PX)),
         )
         names = list(marks.landmarks_px)
         places = [marks.landmarks_px[name] for name in names]
