@@ -1,4 +1,4 @@
-"""Charts as SVG in the page's own colours: data placed in a box, with ticks along two sides. One user unit is a pixel."""
+"""Charts as SVG in the page's own colours: data placed in a box, with ticks along two sides."""
 
 import math
 from collections.abc import Iterable
@@ -78,11 +78,11 @@ class Chart:
 
 
 def ticks(a: float, b: float) -> list[float]:
-    """Four to nine round values between two, the ends included where they are round."""
+    """Three to seven round values between two, the ends included where they are round."""
     low, high = min(a, b), max(a, b)
     if high <= low:
         return [low]
-    raw = (high - low) / 5
+    raw = (high - low) / 6
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= raw)
     first = math.ceil(low / step - 1e-9)

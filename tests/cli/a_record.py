@@ -53,7 +53,7 @@ def begin(folder: Path, clock: SimClock) -> RunRecorder:
     return recorder
 
 
-def mill(recorder: RunRecorder, clock: SimClock) -> None:
+def go_on(recorder: RunRecorder, clock: SimClock) -> None:
     """Two laps, a reason to go no deeper, and an end."""
     for point in range(1, N + 1):
         clock.sleep_s(0.5)
@@ -82,5 +82,5 @@ def mill(recorder: RunRecorder, clock: SimClock) -> None:
 def a_record(folder: Path) -> Path:
     """A whole one."""
     clock = SimClock()
-    mill(begin(folder, clock), clock)
+    go_on(begin(folder, clock), clock)
     return folder

@@ -1,4 +1,4 @@
-"""Runs in viewers that people already have: read back with those viewers' own libraries, and held against the record."""
+"""Runs in viewers that people already have: read back with their own libraries, and held against the record."""
 
 import json
 import shutil
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from a_record import AXIS_MM, DATE, N, a_record, begin, mill as go_on, ring
+from a_record import AXIS_MM, DATE, N, a_record, begin, go_on, ring
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from mill_command import mill
