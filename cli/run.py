@@ -68,7 +68,15 @@ def run(
 
     mill_window(
         Window(
-            "run", chosen, job, calibration, record, json_file, study=study, picture_period_s=picture_period_s, live=live
+            "run",
+            chosen,
+            job,
+            calibration,
+            record,
+            json_file,
+            study=study,
+            picture_period_s=picture_period_s,
+            live=live,
         )
     )
 

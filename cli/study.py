@@ -56,8 +56,8 @@ def study_of(told: Mapping[str, str], rig: StudyTable, resumed: "Run | None" = N
     here, there = ids.get("specimen_id"), before.get("specimen_id")
     if resumed is not None and here and there and here != there:
         raise ConfigError(
-            f"{resumed.folder}: was milled in specimen {there!r}, and {here!r} is named; resume the run of this specimen, "
-            "or correct --specimen-id or [study] in the rig file"
+            f"{resumed.folder}: was milled in specimen {there!r}, and {here!r} is named; resume the run of this "
+            "specimen, or correct --specimen-id or [study] in the rig file"
         )
     return {**rig.model_dump(exclude_none=True), **before, **told}
 
@@ -66,4 +66,3 @@ def study_told(run: "Run") -> dict[str, str]:
     """The ids in a record's header."""
     study = run.header.get("study")
     return {name: str(study[name]) for name in IDS if study.get(name)} if isinstance(study, dict) else {}
-

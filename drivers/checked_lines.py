@@ -91,8 +91,7 @@ class LineWriter:
 
     def _linked(self, before: ChainEnd, body: bytes) -> bytes:
         assert self._file is not None
-        after = ChainEnd(before.lines + 1, link(before.head, body))
-        line = _line(after.head, body)
+        after, line = linked(before, body)
         self._begun = (os.fstat(self._file).st_size + len(line), after)
         return line
 
@@ -135,6 +134,12 @@ def link(before: str, body: bytes) -> str:
     return hashlib.sha256(before.encode() + b" " + body).hexdigest()[:LINK_DIGITS]
 
 
+def linked(before: ChainEnd, body: bytes) -> tuple[ChainEnd, bytes]:
+    """Where a chain ends with one line more, and that line, from the bytes of its JSON."""
+    after = ChainEnd(before.lines + 1, link(before.head, body))
+    return after, _line(after.head, body)
+
+
 def _sum(body: bytes) -> str:
     return f"{zlib.crc32(body):08x}"
 
@@ -153,6 +158,54 @@ class Lines:
     """Where the chain ends; None for lines with sums."""
 
 
+class LineReader:
+    """Takes a file's lines in order, whole or as it grows, and judges each."""
+
+    def __init__(self, path: Path, follows: str = "") -> None:
+        """``follows`` is the link that the first line follows from, should the file be a chain."""
+        self._path = path
+        self._number = 0
+        self._chain: ChainEnd | None = ChainEnd(0, follows)
+
+    @property
+    def number(self) -> int:
+        """How many lines were taken."""
+        return self._number
+
+    @property
+    def chain(self) -> ChainEnd | None:
+        """Where the chain ends so far; None for lines with sums, and before the first line."""
+        return self._chain if self._number else None
+
+    def take(self, line: bytes) -> dict[str, Any]:
+        """The record of a line, which is given without its end.
+
+        Raises:
+            ConfigError: it is not as it was written, or does not follow from the line before.
+        """
+        number = self._number + 1
+        check, _, body = line.partition(b" ")
+        if number == 1 and len(check) != LINK_DIGITS:
+            self._chain = None
+        if self._chain is None:
+            if check != _sum(body).encode():
+                raise ConfigError(
+                    f"{self._path} line {number}: the checksum does not match; the file is damaged, restore it from "
+                    "a copy"
+                )
+        elif check != link(self._chain.head, body).encode():
+            before = f"line {self._number}" if self._number else "the header"
+            raise ConfigError(
+                f"{self._path} line {number}: does not follow from {before}: it was changed, or lines were removed or "
+                "put in before it; the record is damaged, restore it from a copy"
+            )
+        else:
+            self._chain = ChainEnd(number, check.decode())
+        record: dict[str, Any] = json.loads(body)
+        self._number = number
+        return record
+
+
 def read_lines(path: Path, follows: str = "") -> Lines:
     """All records; a torn last line, as a kill leaves it, is dropped.
 
@@ -164,32 +217,17 @@ def read_lines(path: Path, follows: str = "") -> Lines:
         OSError: it cannot be read.
         ConfigError: a line that is not as it was written, or does not follow from the line before.
     """
-    data = path.read_bytes()
-    head, damage = follows if data.find(b" ") == LINK_DIGITS else None, None
-    lines = data.split(b"\n")
-    if not lines[-1]:
-        lines.pop()
-    records: list[dict[str, Any]] = []
-    for number, line in enumerate(lines, start=1):
-        check, _, body = line.partition(b" ")
-        due = _sum(body) if head is None else link(head, body)
-        if check == due.encode():
-            records.append(json.loads(body))
-            head = None if head is None else due
-        elif number == len(lines) and not data.endswith(b"\n"):
+    *lines, last = path.read_bytes().split(b"\n")
+    reader = LineReader(path, follows)
+    records = [reader.take(line) for line in lines]
+    damage = None
+    if last:
+        try:
+            records.append(reader.take(last))
+        except ConfigError:
+            number = len(lines) + 1
             damage = f"{path.name} line {number}: torn, as a killed process leaves it; the rest is whole"
-            break
-        elif head is None:
-            raise ConfigError(
-                f"{path} line {number}: the checksum does not match; the file is damaged, restore it from a copy"
-            )
-        else:
-            before = f"line {number - 1}" if records else "the header"
-            raise ConfigError(
-                f"{path} line {number}: does not follow from {before}: it was changed, or lines were removed or put in "
-                "before it; the record is damaged, restore it from a copy"
-            )
-    return Lines(records, damage, None if head is None else ChainEnd(len(records), head))
+    return Lines(records, damage, reader.chain)
 
 
 def plain(value: Any, digits: int = 6) -> Any:

@@ -170,8 +170,8 @@ def read_run(folder: Path) -> Run:
     told, found = (result or {}).get(CHAIN), None if lines.chain is None else asdict(lines.chain)
     if told is not None and told != found:
         raise ConfigError(
-            f"{folder}/events.jsonl line {len(lines.records)}: is not the end that result.json tells: lines were removed or "
-            "put in there; the record is damaged, restore it from a copy"
+            f"{folder}/events.jsonl line {len(lines.records)}: is not the end that result.json tells: lines were "
+            "removed or put in there; the record is damaged, restore it from a copy"
         )
     return Run(folder, header, lines.records, result, lines.damage, lines.chain)
 

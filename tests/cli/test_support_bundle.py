@@ -22,7 +22,7 @@ from milling.record import RunRecorder, read_run
 
 USER, FULL_NAME, HOST = "jörgensen", "Anna Jörgensen", "annas-laptop"
 HOME = f"/home/{USER}"
-OPERATOR = "Dr. Q: \"the\" second"
+OPERATOR = 'Dr. Q: "the" second'
 PERSONAL = (USER, "J\\u00f6rgensen", "j\\u00f6rgensen", FULL_NAME, HOST, "/home/other", "s3cret", "Dr. Q")
 
 

@@ -146,5 +146,5 @@ def test_after_close_nothing_is_written_and_closing_twice_is_fine(tmp_path: Path
 def test_files_are_replaced_whole(tmp_path: Path) -> None:
     with record(tmp_path / "run") as recorder:
         recorder.close({"outcome": "held"})
-    assert json.loads((tmp_path / "run" / "result.json").read_text()) ["outcome"] == "held"
+    assert json.loads((tmp_path / "run" / "result.json").read_text())["outcome"] == "held"
     assert not list((tmp_path / "run").glob("*.tmp"))
