@@ -157,13 +157,7 @@ def read_run(folder: Path) -> Run:
         ConfigError: no run there, a line that is damaged or does not follow from the one before, or an end that is not
             the one that the result tells.
     """
-    for name in ("header.json", "events.jsonl"):
-        if not (folder / name).is_file():
-            raise ConfigError(f"{folder}: no run here ({name} is missing)")
-    text = (folder / "header.json").read_bytes()
-    header = _object_in(folder / "header.json")
-    if header.get("schema") != SCHEMA:
-        raise ConfigError(f"{folder}/header.json: schema {header.get('schema')!r}, this version reads {SCHEMA}")
+    header, text = read_header(folder), (folder / "header.json").read_bytes()
     lines = read_lines(folder / "events.jsonl", beginning(text))
     result_file = folder / "result.json"
     result = _object_in(result_file) if result_file.exists() else None
@@ -174,6 +168,21 @@ def read_run(folder: Path) -> Run:
             "removed or put in there; the record is damaged, restore it from a copy"
         )
     return Run(folder, header, lines.records, result, lines.damage, lines.chain)
+
+
+def read_header(folder: Path) -> dict[str, Any]:
+    """What ran: the header of a run's folder.
+
+    Raises:
+        ConfigError: no run there, or of another schema.
+    """
+    for name in ("header.json", "events.jsonl"):
+        if not (folder / name).is_file():
+            raise ConfigError(f"{folder}: no run here ({name} is missing)")
+    header = _object_in(folder / "header.json")
+    if header.get("schema") != SCHEMA:
+        raise ConfigError(f"{folder}/header.json: schema {header.get('schema')!r}, this version reads {SCHEMA}")
+    return header
 
 
 def beginning(header: bytes) -> str:
