@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from cli.live import live_option
+from cli.log import log_option
 from cli.options import BenchChoice, json_option, rig_option, trace_option
 from cli.output import columns, console_beside
 from cli.runs import folder_option, located
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 @trace_option
 @json_option
 @live_option
+@log_option
 @study_options
 def resume(
     run_folder: Path,
@@ -39,6 +41,7 @@ def resume(
     trace_file: Path | None,
     json_file: Path | None,
     live: bool,
+    log_file: Path | None,
     study: dict[str, str],
 ) -> None:
     """Go on with a window whose run was stopped, held, or ended by a crash.
@@ -64,7 +67,19 @@ def resume(
     calibration = run.folder / "calibration.toml"
     chosen = BenchChoice(rig, trace_file=trace_file)
     mill_window(
-        Window("resume", chosen, lambda _: job, calibration, record, json_file, standing, run, study=study, live=live)
+        Window(
+            "resume",
+            chosen,
+            lambda _: job,
+            calibration,
+            record,
+            json_file,
+            standing,
+            run,
+            study=study,
+            live=live,
+            log_file=log_file,
+        )
     )
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cli.live import live_option
+from cli.log import log_option
 from cli.options import BenchChoice, json_option, on_a_bench
 from cli.rig import Rig
 from cli.study import study_options
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 @on_a_bench
 @json_option
 @live_option
+@log_option
 @study_options
 @click.option("--calibration", type=click.Path(path_type=Path), metavar="FILE", help="[default: calibrations/RIG.toml]")
 @click.option("--policy", type=click.Choice(["default", "paper", "previous"]), help="How to go deeper.")
@@ -49,6 +51,7 @@ def run(
     chosen: BenchChoice,
     json_file: Path | None,
     live: bool,
+    log_file: Path | None,
     calibration: Path | None,
     record: Path | None,
     picture_period_s: float,
@@ -77,6 +80,7 @@ def run(
             study=study,
             picture_period_s=picture_period_s,
             live=live,
+            log_file=log_file,
         )
     )
 

@@ -13,6 +13,7 @@ from cli.calibrate import calibrate_rig, calibration_path, rig_identity
 from cli.doctor import CERTIFICATES
 from cli.emulate import hogged, recorded, sorted_faults, spoiled
 from cli.live import page_for, shown
+from cli.log import Logged, logged
 from cli.options import BenchChoice
 from cli.output import console_beside, write_json
 from cli.rig import Rig, rig_for, traced
@@ -51,6 +52,8 @@ class Window:
     """How often the record keeps a picture."""
     live: bool = False
     """Whether a browser shows it."""
+    log_file: Path | None = None
+    """Where what happens is added as JSON lines."""
 
 
 def mill_window(asked: Window) -> None:
@@ -81,6 +84,7 @@ def mill_window(asked: Window) -> None:
     if (folder / "events.jsonl").exists():
         raise ConfigError(f"{folder}: holds a run already, which is kept; name another --record folder")
     with (
+        logged(asked.log_file, console.print, run=folder.name, command=asked.command),
         _stop_signals() as stop_requested,
         page_for(asked.live, console) as page,
         rig_for(chosen, plants=("vision", "host", "disk")) as bench,
@@ -154,6 +158,7 @@ def mill_window(asked: Window) -> None:
                 scorer = Scorer(traced(recorded(recorder, own_faults, bench.clock), bench), bench)
                 with watched(console) as tell, hogged(own_faults), _guarded(motion, spindle, bench) as guard:
                     told = shown(scorer, page, folder, known, guard, bench.clock)
+                    told = Logged(told) if asked.log_file else told
                     result = loop.run(
                         replace(rig_, guard=guard),
                         known,
