@@ -4,16 +4,15 @@ The record holds everything, in its own form; this is the part that a person wou
 journald read it. It goes through Python's ``logging``, so that the warnings of libraries are in it as well.
 """
 
+import errno
 import json
 import logging
-import sys
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import click
 
 from cli.output import for_people
 from drivers.checked_lines import plain
@@ -38,20 +37,11 @@ LEVELS: Mapping[str, int] = {
     "stalled": logging.INFO,
     "calibration.verified": logging.INFO,
     "outcome": logging.INFO,
-    "late": logging.WARNING,
     "bad_reading": logging.WARNING,
     "latched": logging.ERROR,
     "error": logging.ERROR,
 }
 """Kinds of event that are told; the others come many times a second."""
-
-log_option = click.option(
-    "--log",
-    "log_file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="Add what happens to this file, as JSON lines with the run's id.",
-)
 
 _log = logging.getLogger("mill")
 
@@ -78,23 +68,41 @@ class JsonLines(logging.Formatter):
         return json.dumps(told, default=str)
 
 
-class LogFile(logging.FileHandler):
-    """Adds lines to a file that others may write to as well; one that takes no more costs the log, not the run."""
+class LogFile(logging.Handler):
+    """Adds lines to a file that others may write to as well, each with one raw write that never waits for a reader.
+
+    A file that takes no more costs the log, not the run.
+    """
 
     def __init__(self, path: Path, on_loss: Callable[[str], None]) -> None:
-        super().__init__(path, encoding="utf-8")
-        self._on_loss = on_loss
-        self._lost = False
+        """Open it.
+
+        Raises:
+            OSError: it cannot be.
+        """
+        super().__init__()
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NONBLOCK | os.O_CLOEXEC
+        self._path, self._on_loss = path, on_loss
+        self._file: int | None = os.open(path, flags, 0o644)
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a line, if none was refused yet."""
-        if not self._lost:
-            super().emit(record)
+        if self._file is None:
+            return
+        line = self.format(record).encode() + b"\n"
+        try:
+            if os.write(self._file, line) < len(line):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            self.close()
+            self._on_loss(f"{self._path}: the log ends here ({error.strerror}); the run goes on")
 
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802  (its base class's name)
-        """Give up, and say so once."""
-        self._lost = True
-        self._on_loss(f"{self.baseFilename}: the log ends here ({sys.exception()}); the run goes on")
+    def close(self) -> None:
+        """Close the file; a second call does nothing."""
+        super().close()
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
 
 
 class Logged:

@@ -45,11 +45,12 @@ def metrics(port: int, folder: Path) -> None:
         def log_message(self, *_: object) -> None:
             """Say nothing."""
 
+    figures = RunMetrics(folder)
     try:
-        server = make_server("127.0.0.1", port, Answers(RunMetrics(folder), port), handler_class=Quiet)
+        server = make_server("127.0.0.1", port, Answers(figures, port), handler_class=Quiet)
     except OSError as error:
         raise ConfigError(f"port {port}: {error.strerror}; end what has it, or name another --port") from error
-    with server:
+    with server, figures:
         click.echo(f"http://127.0.0.1:{port}/metrics\nCtrl-C ends it.")
         server.serve_forever()
 

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from cli.live import live_option
-from cli.log import log_option
-from cli.options import BenchChoice, json_option, rig_option, trace_option
+from cli.options import BenchChoice, json_option, log_option, rig_option, trace_option
 from cli.output import columns, console_beside
 from cli.runs import folder_option, located
 from cli.study import study_options

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cli.live import live_option
-from cli.log import log_option
-from cli.options import BenchChoice, json_option, on_a_bench
+from cli.options import BenchChoice, json_option, log_option, on_a_bench
 from cli.rig import Rig
 from cli.study import study_options
 from cli.window import Window, mill_window

@@ -6,7 +6,8 @@ Counters go on from run to run, as Prometheus wants them; gauges are the newest 
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
@@ -78,6 +79,19 @@ class RunMetrics:
         self._catch_up()
         return generate_latest(self._registry)
 
+    def close(self) -> None:
+        """Close the record; a second call does nothing."""
+        if self._tail is not None:
+            self._tail.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
     def _catch_up(self) -> None:
         self._read()
         dated = sorted((path.joinpath("header.json").stat().st_mtime, path) for path in recorded(self._folder))
@@ -93,8 +107,7 @@ class RunMetrics:
             self._active.set(not ended and quiet_s < ACTIVE_S)
 
     def _turn_to(self, folder: Path) -> None:
-        if self._tail is not None:
-            self._tail.close()
+        self.close()
         for changing in (
             self._info,
             self._state,
