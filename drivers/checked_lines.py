@@ -51,12 +51,13 @@ class LineWriter:
             OSError: it cannot be made.
         """
         self._path = path
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
         self._file: int | None = os.open(path, flags, 0o644)
         self._full = False
-        self._chain = None if follows is None else ChainEnd(0, follows)
-        self._begun: tuple[int, ChainEnd] | None = None
-        """How long the file is with the line that is being written, and where the chain ends then."""
+        self._end = None if follows is None else (0, follows)
+        """Lines of the chain, and the last one's link; a tuple is made faster than a ``ChainEnd``."""
+        self._begun: tuple[bytes, tuple[int, str]] | None = None
+        """The line that is being written, and the end once it is."""
 
     @property
     def is_open(self) -> bool:
@@ -66,7 +67,7 @@ class LineWriter:
     @property
     def chain(self) -> ChainEnd | None:
         """Where the chain ends so far; None for lines with sums."""
-        return self._chain
+        return None if self._end is None else ChainEnd(*self._end)
 
     def append(self, record: Mapping[str, Any], *, sync: bool = False) -> None:
         """Append one line of plain JSON values; with ``sync`` it is on the disk before this returns.
@@ -76,37 +77,41 @@ class LineWriter:
         """
         if self._file is None or self._full:
             return
-        self._settle()
+        if self._begun is not None:
+            self._settle()
         body = _encoded(record).encode()
-        line = checked(body) if self._chain is None else self._linked(self._chain, body)
+        line = checked(body) if self._end is None else self._linked(self._end, body)
         try:
             if os.write(self._file, line) < len(line):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            self._settle()
+            if self._begun is not None:
+                self._end, self._begun = self._begun[1], None
             if sync:
                 os.fdatasync(self._file)
         except OSError as error:
             self._full = True
             raise OSError(error.errno, error.strerror, str(self._path)) from error
 
-    def _linked(self, before: ChainEnd, body: bytes) -> bytes:
-        assert self._file is not None
-        after, line = linked(before, body)
-        self._begun = (os.fstat(self._file).st_size + len(line), after)
+    def _linked(self, before: tuple[int, str], body: bytes) -> bytes:
+        lines, head = before
+        check = link(head, body)
+        line = _line(check, body)
+        self._begun = (line, (lines + 1, check))
         return line
 
     def _settle(self) -> None:
-        """Take note of the line that was begun, if it is whole. Ctrl-C may come between a line and this, or in it."""
+        """Take note of the line that was begun, if it is whole: Ctrl-C may have come between the two."""
         if self._file is not None and self._begun is not None:
-            length, after = self._begun
-            if os.fstat(self._file).st_size >= length:
-                self._chain = after
+            line, end = self._begun
+            start = os.fstat(self._file).st_size - len(line)
+            if start >= 0 and os.pread(self._file, len(line), start) == line:
+                self._end = end
             self._begun = None
 
     def go_on_in(self, path: Path) -> None:
         """From now on append to another file, which is there already."""
         if self._file is not None:
-            other = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
+            other = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CLOEXEC)
             os.dup2(other, self._file, inheritable=False)
             os.close(other)
         self._path = path
