@@ -11,7 +11,7 @@ from cli.run_table import Row, Told
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-COLORS = ("#2563a8", "#c2410c")
+COLORS = ("var(--a)", "var(--b)")
 """Of A and B; their marks also differ in shape."""
 
 
