@@ -31,8 +31,6 @@ def export(run: Path, mcap_file: Path | None, rerun_file: Path | None) -> None:
     Raises:
         ConfigError: the record is damaged, a package is missing, or a file cannot be written; no file is left half.
     """
-    if mcap_file is None and rerun_file is None:
-        raise ConfigError("nothing to write: give --mcap FILE, --rerun FILE or both")
     for name, file in (("foxglove", mcap_file), ("rerun", rerun_file)):
         if file is not None:
             _require(name)

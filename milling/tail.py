@@ -1,14 +1,12 @@
 """A record as it grows: its events one by one, while another process writes it."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from drivers.checked_lines import checked
-from drivers.errors import ConfigError
-from milling.record import read_header
+from drivers.checked_lines import LineReader
+from milling.record import beginning, read_header
 
 
 class Tail:
@@ -23,14 +21,14 @@ class Tail:
         self.folder = folder
         self.header = read_header(folder)
         self._path = folder / "events.jsonl"
+        self._lines = LineReader(self._path, beginning((folder / "header.json").read_bytes()))
         self._file = self._path.open("rb")
         self._begun = b""
-        self._number = 0
 
     @property
     def damage(self) -> str | None:
         """In words what a killed process left of its last line; None where the last line is whole."""
-        return f"{self._path.name} line {self._number + 1}: torn; the rest is whole" if self._begun else None
+        return f"{self._path.name} line {self._lines.number + 1}: torn; the rest is whole" if self._begun else None
 
     def news(self) -> Iterator[dict[str, Any]]:
         """What was written since the last call. A line that is not whole yet waits for its end.
@@ -42,15 +40,8 @@ class Tail:
             self._begun += piece
             if not self._begun.endswith(b"\n"):
                 return
-            line, self._begun = self._begun, b""
-            self._number += 1
-            body = line.partition(b" ")[2].rstrip(b"\n")
-            if checked(body) != line:
-                raise ConfigError(
-                    f"{self._path} line {self._number}: the checksum does not match; the file is damaged, restore it "
-                    "from a copy"
-                )
-            yield json.loads(body)
+            line, self._begun = self._begun[:-1], b""
+            yield self._lines.take(line)
 
     def close(self) -> None:
         """Close the file; a second call does nothing."""

@@ -10,6 +10,8 @@ from typing import Any
 
 from cli.reports.chart import Chart
 from cli.reports.template import filled
+from cli.study import study_told
+from milling.labels import newest, read_labels
 from milling.record import Run, read_run
 
 DARK = 0.85
@@ -44,6 +46,9 @@ def page(run: Run) -> dict[str, Any]:
     return {
         "folder": run.folder.name,
         "header": run.header,
+        "study": study_told(run),
+        "labels": newest(read_labels(run.folder)).values(),
+        "chain": run.chain,
         "outcome": result.get("outcome", "not finished"),
         "reason": result.get("reason", "the record ends before the run did"),
         "damage": run.damage,

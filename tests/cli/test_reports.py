@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from a_calibration import a_calibration
 from a_record import a_record
+from mill_command import mill
 
 from calib.calibration_file import Calibration
 from cli.reports.calibration_report import write_calibration_report
@@ -72,8 +73,17 @@ def _training(folder: Path) -> Path:
     return folder / "net.html"
 
 
+def _comparison(folder: Path) -> Path:
+    for name in ("one", "two"):
+        a_record(folder / name)
+    out = folder / "compare.html"
+    assert mill("runs", "compare", str(folder / "one"), str(folder / "two"), "--out", str(out)) == 0
+    return out
+
+
 REPORTS: dict[str, Callable[[Path], Path]] = {
     "run": _run, "calibration": _calibration, "doctor": _doctor, "study": _study, "training": _training,
+    "comparison": _comparison,
 }  # fmt: skip
 
 

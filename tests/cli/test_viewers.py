@@ -185,7 +185,7 @@ def test_a_torn_last_line_is_told_and_a_damaged_one_refused(copy: Path, capsys: 
     before = out.read_bytes()
     events.write_bytes(whole.replace(b'"rpm":50000.0', b'"rpm":50001.0', 1))
     assert mill("runs", "export", str(copy), "--mcap", str(out)) == 2
-    assert "checksum" in capsys.readouterr().err
+    assert "does not follow from" in capsys.readouterr().err
     assert out.read_bytes() == before, "the file from before is kept"
     assert not list(copy.glob("*.part")) + list(copy.glob(".*.part"))
 
@@ -193,9 +193,10 @@ def test_a_torn_last_line_is_told_and_a_damaged_one_refused(copy: Path, capsys: 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["one"], "nothing to write: give --mcap FILE"),
+        (["one"], "nothing to write: give --csv FILE"),
         (["one", "--mcap", "nowhere/x.mcap"], "nowhere is no folder"),
         (["none", "--mcap", "x.mcap"], "no such run"),
+        (["--mcap", "x.mcap"], "0 runs for --mcap or --rerun, which take one"),
     ],
 )
 def test_wrong_words_write_nothing(
