@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import pydantic
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from drivers.backends import Kind, backend_names
 from drivers.errors import ConfigError
@@ -16,6 +16,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Model = TypeVar("Model", bound=BaseModel)
+MOST_STUDY_LETTERS = 120
 
 
 class Table(BaseModel):
@@ -207,6 +208,29 @@ class WeightsTable(Table):
     completion: Path | None = None
 
 
+def study_word(text: str) -> str:
+    """A name that a lab gives: one line, not empty.
+
+    Raises:
+        ValueError: it is none.
+    """
+    text = text.strip()
+    if not text or len(text) > MOST_STUDY_LETTERS or not text.isprintable():
+        raise ValueError(f"one line of 1 to {MOST_STUDY_LETTERS} letters is needed")
+    return text
+
+
+StudyWord = Annotated[str, AfterValidator(study_word)]
+
+
+class StudyTable(Table):
+    """What the records belong to; the command line says otherwise for one run."""
+
+    specimen_id: StudyWord | None = None
+    protocol: StudyWord | None = None
+    operator: StudyWord | None = None
+
+
 class RigConfig(BaseModel):
     """A whole rig file."""
 
@@ -221,6 +245,7 @@ class RigConfig(BaseModel):
     calibration: CalibrationTable = CalibrationTable()
     certificate: CertificateTable = CertificateTable()
     weights: WeightsTable = WeightsTable()
+    study: StudyTable = StudyTable()
     job: dict[str, Any] = {}
     """Checked by milling.job, which knows the limits of a job."""
 

@@ -28,6 +28,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "experiment": ("cli.experiment", "Repeat the paper's experiments on virtual rigs."),
     "live": ("cli.live", "Play a recorded run in the browser."),
     "runs": ("cli.runs", "List, show, report and replay recorded runs."),
+    "metrics": ("cli.metrics", "Serve figures of the newest run to Prometheus."),
     "trace": ("cli.trace", "Show, cut and export what --trace has written."),
     "support-bundle": ("cli.support_bundle", "Pack what a maintainer needs to help, without personal data."),
     "completion": ("cli.completion", "Print the shell's completion script."),

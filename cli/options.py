@@ -54,6 +54,14 @@ trace_option = click.option(
     metavar="FILE",
     help="Write down every byte on the wires, every call and decision (docs/trace.md).",
 )
+log_option = click.option(
+    "--log",
+    "log_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    callback=_writable,
+    metavar="FILE",
+    help="Add what happens to this file, as JSON lines with the run's id.",
+)
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 import click
 
 from cli.live import live_option
-from cli.options import BenchChoice, json_option, rig_option, trace_option
+from cli.options import BenchChoice, json_option, log_option, rig_option, trace_option
 from cli.output import columns, console_beside
 from cli.runs import folder_option, located
+from cli.study import study_options
 from cli.window import Window, mill_window
 from drivers.errors import ConfigError
 
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 @trace_option
 @json_option
 @live_option
+@log_option
+@study_options
 def resume(
     run_folder: Path,
     rig: Path | None,
@@ -37,6 +40,8 @@ def resume(
     trace_file: Path | None,
     json_file: Path | None,
     live: bool,
+    log_file: Path | None,
+    study: dict[str, str],
 ) -> None:
     """Go on with a window whose run was stopped, held, or ended by a crash.
 
@@ -58,10 +63,23 @@ def resume(
     job = Job.of_record(run.header, run.folder)
     standing = standing_of(run, job)
     _show(standing, job, console_beside(json_file))
-    header = (("resumes", str(run.folder)),)
     calibration = run.folder / "calibration.toml"
     chosen = BenchChoice(rig, trace_file=trace_file)
-    mill_window(Window("resume", chosen, lambda _: job, calibration, record, json_file, standing, header, live=live))
+    mill_window(
+        Window(
+            "resume",
+            chosen,
+            lambda _: job,
+            calibration,
+            record,
+            json_file,
+            standing,
+            run,
+            study=study,
+            live=live,
+            log_file=log_file,
+        )
+    )
 
 
 def _show(standing: "Standing", job: "Job", console: "Console") -> None:

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cli.live import live_option
-from cli.options import BenchChoice, json_option, on_a_bench
+from cli.options import BenchChoice, json_option, log_option, on_a_bench
 from cli.rig import Rig
+from cli.study import study_options
 from cli.window import Window, mill_window
 
 if TYPE_CHECKING:
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 @on_a_bench
 @json_option
 @live_option
+@log_option
+@study_options
 @click.option("--calibration", type=click.Path(path_type=Path), metavar="FILE", help="[default: calibrations/RIG.toml]")
 @click.option("--policy", type=click.Choice(["default", "paper", "previous"]), help="How to go deeper.")
 @click.option("--radius", "radius_mm", type=float, metavar="MM", help="Radius of the ring, 2 to 4 mm.")
@@ -47,9 +50,11 @@ def run(
     chosen: BenchChoice,
     json_file: Path | None,
     live: bool,
+    log_file: Path | None,
     calibration: Path | None,
     record: Path | None,
     picture_period_s: float,
+    study: dict[str, str],
     **choices: Any,
 ) -> None:
     """Mill one window in a closed loop, and write its record and report.
@@ -64,7 +69,18 @@ def run(
         return Job.from_table(_job_table(bench, choices))
 
     mill_window(
-        Window("run", chosen, job, calibration, record, json_file, picture_period_s=picture_period_s, live=live)
+        Window(
+            "run",
+            chosen,
+            job,
+            calibration,
+            record,
+            json_file,
+            study=study,
+            picture_period_s=picture_period_s,
+            live=live,
+            log_file=log_file,
+        )
     )
 
 

@@ -2,10 +2,11 @@
 
 import json
 import platform
+import re
 import sys
 import zipfile
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -17,11 +18,15 @@ from cli.devices import found_devices
 from cli.options import rig_option
 from drivers.checked_lines import checked
 from drivers.errors import ConfigError
+from milling.record import CHAIN, read_run
 
 PACKAGES = (
     "canopen", "click", "numba", "numpy", "onnxruntime", "open3d", "opencv-contrib-python-headless", "pydantic",
     "pyserial", "python-can", "scipy", "torch",
 )  # fmt: skip
+
+_OPERATOR = re.compile(r"""(\boperator"?\s*[:=]\s*)("(?:[^"\\\n]|\\.)*"|'[^'\n]*')""")
+"""In TOML and in JSON."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +124,19 @@ def _last_run() -> Iterator[Item]:
         names = ("header.json", "events.jsonl", "result.json", "calibration.toml")
         for path in (newest.parent / name for name in names):
             if path.is_file():
-                yield _file(f"run/{path.name}", path)
+                item = _file(f"run/{path.name}", path)
+                yield replace(item, text=_unchained(item.text, newest.parent)) if path.name == "events.jsonl" else item
+
+
+def _unchained(text: str, folder: Path) -> str:
+    """Events with sums in place of links, which do not survive what is taken out; of a damaged record, as they are."""
+    try:
+        chain = read_run(folder).chain
+    except ConfigError:
+        return text
+    n, lines = 0 if chain is None else chain.lines, text.split("\n")
+    summed = (checked(line.partition(" ")[2].encode()).decode().rstrip("\n") for line in lines[:n])
+    return "\n".join([*summed, *lines[n:]])
 
 
 def _traces() -> Iterator[Item]:
@@ -143,11 +160,23 @@ def _newest(paths: Iterator[Path]) -> Path | None:
 
 def _clean(item: Item) -> str:
     """The text without personal data; lines that carry a checksum get the one of what is left."""
-    cleaned = anonymous(item.text)
+    cleaned = _OPERATOR.sub(r'\1"OPERATOR"', anonymous(item.text))
+    if item.name == "run/result.json":
+        return _without_chain(cleaned)
     if not item.name.endswith(".jsonl"):
         return cleaned
     pairs = zip(item.text.split("\n"), cleaned.split("\n"), strict=True)
     return "\n".join(_checked_anew(was, now) for was, now in pairs)
+
+
+def _without_chain(text: str) -> str:
+    # Its events are no chain any more.
+    try:
+        result = json.loads(text)
+        del result[CHAIN]
+    except (ValueError, TypeError, KeyError):
+        return text
+    return json.dumps(result, indent=1)
 
 
 def _checked_anew(was: str, now: str) -> str:

@@ -2,8 +2,8 @@
 
 import contextlib
 import signal
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -13,9 +13,11 @@ from cli.calibrate import calibrate_rig, calibration_path, rig_identity
 from cli.doctor import CERTIFICATES
 from cli.emulate import hogged, recorded, sorted_faults, spoiled
 from cli.live import page_for, shown
+from cli.log import Logged, logged
 from cli.options import BenchChoice
 from cli.output import console_beside, write_json
 from cli.rig import Rig, rig_for, traced
+from cli.study import study_of
 from drivers.device import closed_in_the_end
 from drivers.errors import ConfigError
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from drivers.spindle.interface import Spindle
     from milling.guard import Guard
     from milling.job import Job
+    from milling.record import Run
     from milling.standing import Standing
 
 
@@ -41,12 +44,16 @@ class Window:
     json_file: Path | None = None
     standing: "Standing | None" = None
     """An earlier run's window, to go on with."""
-    header: "tuple[tuple[str, Any], ...]" = ()
-    """What else the record's header tells."""
+    resumed: "Run | None" = None
+    """Its record."""
+    study: Mapping[str, str] = field(default_factory=dict)
+    """Ids from the command line."""
     picture_period_s: float = 2.0
     """How often the record keeps a picture."""
     live: bool = False
     """Whether a browser shows it."""
+    log_file: Path | None = None
+    """Where what happens is added as JSON lines."""
 
 
 def mill_window(asked: Window) -> None:
@@ -77,6 +84,7 @@ def mill_window(asked: Window) -> None:
     if (folder / "events.jsonl").exists():
         raise ConfigError(f"{folder}: holds a run already, which is kept; name another --record folder")
     with (
+        logged(asked.log_file, console.print, run=folder.name, command=asked.command),
         _stop_signals() as stop_requested,
         page_for(asked.live, console) as page,
         rig_for(chosen, plants=("vision", "host", "disk")) as bench,
@@ -87,6 +95,7 @@ def mill_window(asked: Window) -> None:
         weights = {"tip": tip.sha256, "landmarks": landmarks.sha256, "completion": completion.sha256}
         planted, own_faults = sorted_faults(chosen.faults)
         job = asked.job(bench)
+        study = study_of(asked.study, bench.config.study, asked.resumed)
         path = asked.calibration or calibration_path(bench.config.name)
         age: dict[str, Any] = {"now": datetime.now(UTC), "max_age_h": bench.config.calibration.max_age_h}
         known = (
@@ -124,14 +133,18 @@ def mill_window(asked: Window) -> None:
                 "job": asdict(job),
                 "weights": weights,
                 "calibration": _calibration_header(known),
-                **dict(asked.header),
+                "study": study,
             }
+            if asked.resumed is not None:
+                chain = asked.resumed.chain
+                header |= {"resumes": str(asked.resumed.folder), "resumes_head": None if chain is None else chain.head}
             with RunRecorder(
                 folder, header, bench.clock, frame_period_s=asked.picture_period_s, on_loss=console.print
             ) as recorder:
                 if bench.trace is not None:
                     bench.trace.event("record", folder=str(folder))
                 known.save(folder / "calibration.toml")
+                recorder.vouch("calibration.toml")
                 reader = spoiled(completion, own_faults, bench.clock, seed=chosen.seed)
                 finders = Finders(tip.find, landmarks.find, reader, match)
                 rig_ = loop.Rig(
@@ -145,6 +158,7 @@ def mill_window(asked: Window) -> None:
                 scorer = Scorer(traced(recorded(recorder, own_faults, bench.clock), bench), bench)
                 with watched(console) as tell, hogged(own_faults), _guarded(motion, spindle, bench) as guard:
                     told = shown(scorer, page, folder, known, guard, bench.clock)
+                    told = Logged(told) if asked.log_file else told
                     result = loop.run(
                         replace(rig_, guard=guard),
                         known,

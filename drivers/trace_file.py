@@ -158,11 +158,11 @@ def read_trace(path: Path) -> TraceLog:
         ConfigError: there is no trace, or it is damaged.
     """
     try:
-        records, damage = read_lines(path)
+        lines = read_lines(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}); name a file that --trace has written") from error
     try:
-        entries = [Entry(each["n"], each["t"], each["wire"], each["kind"], each["data"]) for each in records]
+        entries = [Entry(each["n"], each["t"], each["wire"], each["kind"], each["data"]) for each in lines.records]
     except KeyError:
         entries = []
     if not entries or entries[0].kind != "header":
@@ -170,7 +170,7 @@ def read_trace(path: Path) -> TraceLog:
     header = entries[0].data
     if header.get("schema") != SCHEMA:
         raise ConfigError(f"{path}: schema {header.get('schema')!r}, this version reads {SCHEMA}")
-    return TraceLog(header, sorted(entries[1:], key=lambda entry: entry.number), damage)
+    return TraceLog(header, sorted(entries[1:], key=lambda entry: entry.number), lines.damage)
 
 
 def write_trace(path: Path, header: Mapping[str, Any], entries: list[Entry]) -> None:

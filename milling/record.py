@@ -5,14 +5,16 @@ r"""The run's record: a folder that tells the truth even when the process is kil
     frames/*.jpg      pictures, at a bounded rate; the first thing dropped when the disk fills
     result.json       the outcome, written at close, atomically
 
-``events.jsonl`` holds checked lines (``drivers.checked_lines``). Numbers are rounded to the nanometre and microsecond,
-so that one seed gives the same bytes twice.
+``events.jsonl`` is a chain of lines (``drivers.checked_lines``) that begins with the header's bytes and ends where the
+result says; a picture's event holds its SHA-256. Numbers are rounded to the nanometre and microsecond, so that one seed
+gives the same bytes twice.
 """
 
+import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -20,7 +22,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from drivers.checked_lines import LineWriter, plain, read_lines
+from drivers.checked_lines import ChainEnd, LineWriter, link, plain, read_lines
 from drivers.clock import Clock
 from drivers.errors import ConfigError
 from milling.eyes import RIGHT
@@ -31,6 +33,8 @@ SYNCED = frozenset(
 """Kinds of event that are on the disk before the run goes on."""
 
 SCHEMA = 1
+CHAIN = "chain"
+"""Where ``result.json`` tells the number of events and the last one's link."""
 _FRAME_PERIOD_S = 2.0
 
 
@@ -64,12 +68,13 @@ class RunRecorder:
         self._frames = 0
         self._frames_lost = False
         self._on_loss = on_loss
+        text = json_text({"schema": SCHEMA, **header})
         try:
             (folder / "frames").mkdir(parents=True, exist_ok=True)
-            self._lines = LineWriter(folder / "events.jsonl")
+            self._lines = LineWriter(folder / "events.jsonl", follows=beginning(text))
         except FileExistsError as error:
             raise ConfigError(f"{folder}: holds a run already; choose another folder") from error
-        write_atomically(folder / "header.json", {"schema": SCHEMA, **header})
+        write_atomically(folder / "header.json", text)
 
     def event(self, kind: str, **fields: Any) -> None:
         """Append one event; on the disk before this returns where ``kind`` is a change of state.
@@ -94,14 +99,20 @@ class RunRecorder:
         good, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 88])
         if not good:
             raise ValueError(f"a picture of shape {image.shape} cannot be kept as JPEG")
+        jpeg = data.tobytes()
         try:
-            (self.folder / path).write_bytes(data.tobytes())
+            (self.folder / path).write_bytes(jpeg)
         except OSError as error:
             if not self._frames_lost:
                 self._frames_lost = True
                 self._on_loss(f"{self.folder}: pictures are no longer kept ({error.strerror}); events still are")
             return
-        self.event("frame", name=name, file=path)
+        self.event("frame", name=name, file=path, sha256=hashlib.sha256(jpeg).hexdigest())
+
+    def vouch(self, file: str) -> None:
+        """Bind another file of the folder to the record: that it changes later can be told."""
+        data = (self.folder / file).read_bytes()
+        self.event("file", file=file, sha256=hashlib.sha256(data).hexdigest())
 
     def close(self, result: Mapping[str, Any] | None = None) -> None:
         """Write the result, and close; a second call does nothing."""
@@ -109,7 +120,9 @@ class RunRecorder:
             return
         self._lines.close()
         if result is not None:
-            write_atomically(self.folder / "result.json", plain(result))
+            end = self._lines.chain
+            assert end is not None
+            write_atomically(self.folder / "result.json", json_text(plain({**result, CHAIN: asdict(end)})))
 
     def __enter__(self) -> Self:
         return self
@@ -129,6 +142,8 @@ class Run:
     events: list[dict[str, Any]]
     result: dict[str, Any] | None
     damage: str | None
+    chain: ChainEnd | None = None
+    """Where the chain of events ends; None in records that were written without one."""
 
     def of_kind(self, kind: str) -> Iterator[dict[str, Any]]:
         """The events of one kind, in order."""
@@ -139,7 +154,27 @@ def read_run(folder: Path) -> Run:
     """Read a run's folder. A torn last line, as a kill leaves it, is dropped and named in ``damage``.
 
     Raises:
-        ConfigError: no run there, or a line that is damaged in the middle of the record.
+        ConfigError: no run there, a line that is damaged or does not follow from the one before, or an end that is not
+            the one that the result tells.
+    """
+    header, text = read_header(folder), (folder / "header.json").read_bytes()
+    lines = read_lines(folder / "events.jsonl", beginning(text))
+    result_file = folder / "result.json"
+    result = _object_in(result_file) if result_file.exists() else None
+    told, found = (result or {}).get(CHAIN), None if lines.chain is None else asdict(lines.chain)
+    if told is not None and told != found:
+        raise ConfigError(
+            f"{folder}/events.jsonl line {len(lines.records)}: is not the end that result.json tells: lines were "
+            "removed or put in there; the record is damaged, restore it from a copy"
+        )
+    return Run(folder, header, lines.records, result, lines.damage, lines.chain)
+
+
+def read_header(folder: Path) -> dict[str, Any]:
+    """What ran: the header of a run's folder.
+
+    Raises:
+        ConfigError: no run there, or of another schema.
     """
     for name in ("header.json", "events.jsonl"):
         if not (folder / name).is_file():
@@ -147,18 +182,24 @@ def read_run(folder: Path) -> Run:
     header = _object_in(folder / "header.json")
     if header.get("schema") != SCHEMA:
         raise ConfigError(f"{folder}/header.json: schema {header.get('schema')!r}, this version reads {SCHEMA}")
-    events, damage = read_lines(folder / "events.jsonl")
-    result_file = folder / "result.json"
-    result = _object_in(result_file) if result_file.exists() else None
-    return Run(folder, header, events, result, damage)
+    return header
 
 
-def write_atomically(path: Path, content: Any) -> None:
-    """Replace a JSON file so that a reader or a crash sees the old or the new one, never half."""
+def beginning(header: bytes) -> str:
+    """The link that the first event follows from, of the header's bytes."""
+    return link("", header)
+
+
+def json_text(content: Any) -> bytes:
+    """JSON for people and machines."""
+    return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
+
+
+def write_atomically(path: Path, text: bytes) -> None:
+    """Replace a file so that a reader or a crash sees the old or the new one, never half."""
     temporary = path.with_suffix(".tmp")
-    with temporary.open("w", encoding="utf-8") as file:
-        json.dump(content, file, indent=1, allow_nan=False)
-        file.write("\n")
+    with temporary.open("wb") as file:
+        file.write(text)
         file.flush()
         os.fsync(file.fileno())
     temporary.replace(path)

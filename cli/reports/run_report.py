@@ -8,7 +8,10 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+from cli.reports.chart import BOTTOM, HEIGHT, axes
 from cli.reports.template import filled
+from cli.study import study_told
+from milling.labels import newest, read_labels
 from milling.record import Run, read_run
 
 CROP_RADII = 1.7
@@ -41,6 +44,9 @@ def page(run: Run) -> dict[str, Any]:
     return {
         "folder": run.folder.name,
         "header": run.header,
+        "study": study_told(run),
+        "labels": newest(read_labels(run.folder)).values(),
+        "chain": run.chain,
         "outcome": result.get("outcome", "not finished"),
         "reason": result.get("reason", "the record ends before the run did"),
         "damage": run.damage,
@@ -155,34 +161,11 @@ def _ring_picture(run: Run, points: list[dict[str, Any]]) -> dict[str, Any] | No
     }
 
 
-# Charts, in a box of 720 by 220.
-
-_WIDTH, _HEIGHT, _LEFT, _BOTTOM = 720.0, 220.0, 46.0, 26.0
-
-
-def _axes(t0: float, t1: float, low: float, high: float) -> tuple[Any, list[dict[str, Any]], list[dict[str, Any]]]:
-    def place(t: float, value: float) -> tuple[float, float]:
-        x = _LEFT + (t - t0) / max(t1 - t0, 1e-9) * (_WIDTH - _LEFT - 8)
-        y = 8 + (high - value) / max(high - low, 1e-9) * (_HEIGHT - _BOTTOM - 8)
-        return round(x, 1), round(y, 1)
-
-    across = [{"at": place(t, low)[0], "text": f"{t:.0f} s"} for t in _ticks(t0, t1)]
-    up = [{"at": place(t0, value)[1], "text": f"{value:g}"} for value in _ticks(low, high)]
-    return place, across, up
-
-
-def _ticks(low: float, high: float) -> list[float]:
-    span = max(high - low, 1e-9)
-    step = next(s for k in range(-6, 7) for s in (10.0**k, 2 * 10.0**k, 5 * 10.0**k) if span / s <= 6)
-    first = int(low / step + 0.999999)
-    return [round(step * k, 9) for k in range(first, int(high / step) + 1)]
-
-
 def _lines(laps: list[dict[str, Any]], key: str, title: str, limit: float) -> dict[str, Any] | None:
     if len(laps) < 2:
         return None
     top = max(limit, *(max(lap[key]) for lap in laps))
-    place, across, up = _axes(laps[0]["t"], laps[-1]["t"], 0.0, top)
+    place, across, up = axes(laps[0]["t"], laps[-1]["t"], 0.0, top)
     n = len(laps[0][key])
     lines = [
         {
@@ -201,13 +184,13 @@ def _heat(laps: list[dict[str, Any]]) -> dict[str, Any] | None:
     if len(laps) < 2:
         return None
     n = len(laps[0]["completion"])
-    place, across, _ = _axes(laps[0]["t"], laps[-1]["t"], 0.0, float(n))
+    place, across, _ = axes(laps[0]["t"], laps[-1]["t"], 0.0, float(n))
     cells = []
     for lap, following in itertools.pairwise(laps):
         x0, x1 = place(lap["t"], 0)[0], place(following["t"], 0)[0]
         for index, value in enumerate(lap["completion"]):
             y = place(0, index + 1)[1]
-            height = (_HEIGHT - _BOTTOM - 8) / n
+            height = (HEIGHT - BOTTOM - 8) / n
             cells.append(
                 {"x": x0, "y": y, "w": round(x1 - x0 + 0.3, 1), "h": round(height + 0.3, 2), "color": _color(value)}
             )
@@ -220,7 +203,7 @@ def _torque(run: Run) -> dict[str, Any] | None:
     if len(loads) < 2:
         return None
     top = max(event["torque"] for event in loads) * 1.1
-    place, across, up = _axes(loads[0]["t"], loads[-1]["t"], 0.0, top)
+    place, across, up = axes(loads[0]["t"], loads[-1]["t"], 0.0, top)
     line = " ".join("{},{}".format(*place(event["t"], event["torque"])) for event in loads)
     return {
         "line": line,

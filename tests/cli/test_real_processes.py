@@ -185,7 +185,9 @@ def test_a_run_that_was_killed_is_resumed(rig: Rig, tmp_path: Path) -> None:
         assert (code, resume.err) == (0, ""), resume.said
         truth = truth_of(other)
     assert truth["success"] is True
-    assert read_run(tmp_path / "second").header["resumes"] == str(folder)
+    header, chain = read_run(tmp_path / "second").header, read_run(folder).chain
+    assert chain is not None
+    assert (header["resumes"], header["resumes_head"]) == (str(folder), chain.head)
 
 
 @pytest.mark.long

@@ -15,13 +15,15 @@ from pytest_mock import MockerFixture
 from rig_file import GOOD
 from serial.tools.list_ports_common import ListPortInfo
 
+from drivers.errors import ConfigError
 from drivers.trace_file import Trace, read_trace
 from firmware_sim.clock import SimClock
 from milling.record import RunRecorder, read_run
 
 USER, FULL_NAME, HOST = "jörgensen", "Anna Jörgensen", "annas-laptop"
 HOME = f"/home/{USER}"
-PERSONAL = (USER, "J\\u00f6rgensen", "j\\u00f6rgensen", FULL_NAME, HOST, "/home/other", "s3cret")
+OPERATOR = 'Dr. Q: "the" second'
+PERSONAL = (USER, "J\\u00f6rgensen", "j\\u00f6rgensen", FULL_NAME, HOST, "/home/other", "s3cret", "Dr. Q")
 
 
 @pytest.fixture
@@ -38,18 +40,20 @@ def place(tmp_path: Path, mocker: MockerFixture, monkeypatch: pytest.MonkeyPatch
     named.serial_number, foreign.serial_number = "A50285BI", "PHONE1234"
     mocker.patch("serial.tools.list_ports.comports", return_value=[named, foreign])
     rig = GOOD.replace('"/dev/mill-left"', f'"http://{USER}:s3cret@10.0.0.2/left"').replace("bench", f"rig of {USER}")
-    Path("rig.toml").write_text(f"{rig}\n# {traits}\n")
+    Path("rig.toml").write_text(f"{rig}\n[study]\noperator = '{OPERATOR}'\n# {traits}\n")
     Path("certificates").mkdir()
     inner = json.dumps({"rig": traits})
     Path("certificates/rig.json").write_text(json.dumps({"certificate": inner}))
     Path("certificates/rig.html").write_text(f"<p>{traits}</p>")
-    with RunRecorder(Path("runs/one"), {"specimen": traits}, SimClock()) as recorder:
+    header = {"specimen": traits, "study": {"protocol": "P-7", "operator": OPERATOR}}
+    with RunRecorder(Path("runs/one"), header, SimClock()) as recorder:
         recorder.event("state", state="start")
         recorder.event("error", words=traits)
         recorder.close({"outcome": "held", "reason": traits})
     Path("runs/one/frames/00001-left.jpg").write_bytes(b"picture")
     Path("runs/one/report.html").write_text("picture")
-    with Trace(Path("one.jsonl"), SimClock(), {"rig": traits}) as trace:
+    about = {"rig": traits, "study": {"operator": OPERATOR}}
+    with Trace(Path("one.jsonl"), SimClock(), about) as trace:
         trace.note(trace.mark(), "motion", "in", traits)
         trace.event("lap", lap=1)
     Path("traces").mkdir()
@@ -101,8 +105,27 @@ def test_records_and_traces_can_still_be_read(place: Path) -> None:
     run = read_run(place / "unpacked" / "run")
     assert [event["kind"] for event in run.events] == ["state", "error"]
     assert run.events[1]["words"].startswith("~/work, USER on HOST, ~/work")
+    assert run.header["study"] == {"protocol": "P-7", "operator": "OPERATOR"}
+    assert run.result is not None
+    assert run.damage is None
     assert read_trace(place / "unpacked" / "traces" / "one.jsonl").damage is None
     assert read_trace(place / "unpacked" / "traces" / "torn.jsonl").damage is not None
+
+
+@pytest.mark.parametrize(("end", "kinds"), [(-9, ["state"]), (9, None)])
+def test_a_torn_record_stays_torn_and_a_changed_one_damaged(place: Path, end: int, kinds: list[str] | None) -> None:
+    events = place / "runs/one/events.jsonl"
+    text = events.read_bytes()
+    events.write_bytes(text[:end] if end < 0 else text[:end] + b"?" + text[end + 1 :])
+    (place / "runs/one/result.json").unlink()
+    assert mill("support-bundle", "--out", "b.zip") == 0
+    shutil.unpack_archive(place / "b.zip", place / "unpacked")
+    if kinds is None:
+        with pytest.raises(ConfigError, match=r"events\.jsonl line 1"):
+            read_run(place / "unpacked" / "run")
+    else:
+        run = read_run(place / "unpacked" / "run")
+        assert ([event["kind"] for event in run.events], "torn" in (run.damage or "")) == (kinds, True)
 
 
 def test_an_empty_folder_gives_a_bundle_that_says_what_is_missing(
