@@ -29,6 +29,7 @@ HALF_WIDTH_MM: Final = 7.5
 HIGHEST_BONE_MM: Final = -1.0
 BEHIND_LAMBDA_MM: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.48, 8.0)
 DROP_MM: Final = (0.0, 0.18, 0.27, 0.35, 0.43, 0.56, 0.70, 0.98, 1.54, 2.12, 6.0)
+_DROP_BEHIND_LAMBDA: Final = PchipInterpolator(BEHIND_LAMBDA_MM, DROP_MM)
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ class SurfaceShape:
         if self._specimen.kind == "eggshell":
             return np.asarray(z - _sag(s, radius.lateral) - _sag(t, radius.rostrocaudal))
         length = self.frame.half_length_mm
-        drop = PchipInterpolator(BEHIND_LAMBDA_MM, DROP_MM)(np.clip(-t - length, 0.0, BEHIND_LAMBDA_MM[-1]))
+        drop = _DROP_BEHIND_LAMBDA(np.clip(-t - length, 0.0, BEHIND_LAMBDA_MM[-1]))
         along = _sag(np.maximum(t, -length), radius.rostrocaudal) + drop
         return np.asarray(z - _sag(s, radius.lateral) - along)
 

@@ -109,9 +109,12 @@ class Laps:
         self._per_point = max(1, ceil(LONGER_BY * float(stretch_s.max()) / job.segment_s))
         self._step_s = stretch_s / self._per_point
         """(n,) from vertex to vertex on the way to the next point."""
+        self._longest_step_s = float(self._step_s.max())
         self._depth = np.zeros(self._n)
         """What was commanded at each point's last or current visit."""
         self._bite = np.zeros(self._n)
+        self._height: Callable[[float], Any] | None = None
+        """Of the tip, by the place along the path; made anew where a depth has changed."""
         self._next = 0
         """Number of the next vertex to write, counted over all laps."""
         self._left = 0
@@ -119,6 +122,8 @@ class Laps:
         self._vertices: deque[tuple[int, Vector]] = deque(maxlen=64)
         self._at = 0.0
         self._at_s = 0.0
+        self._written = (0, 0, 0.0, 0.0)
+        """The vertices before and after what is written ahead, how long all of it takes, and its first step."""
         self._tip: Vector | None = None
         self._reports: deque[SpindleStatus] = deque(maxlen=512)
         self._torque = 0.0
@@ -174,7 +179,7 @@ class Laps:
                 polled_s = glanced_s = float("-inf")
                 continue
             wrote = False
-            while self._ahead_s() + float(self._step_s.max()) <= QUEUED_S:
+            while self._ahead_s() + self._longest_step_s <= QUEUED_S:
                 self._write()
                 wrote = True
             if self._next - self._bitten > IDLE_LAPS * self._n * self._per_point:
@@ -209,7 +214,9 @@ class Laps:
         )
         if grant.deeper:
             self._bitten = number
-        self._depth[index] = grant.depth_mm
+        if self._depth[index] != grant.depth_mm:
+            self._depth[index] = grant.depth_mm
+            self._height = None
         self._bite[index] = grant.depth_mm - self.permits.cut_mm(index)
         vertex = self._vertex(number)
         self._hands.motion.start_move(vertex, feed_mm_per_s=self._job.feed_mm_s)
@@ -222,13 +229,19 @@ class Laps:
         end = self._knots[before + 1] if before + 1 < self._n else self._length
         along = start + (end - start) * part / self._per_point
         x, y = self._path(along)
-        z = periodic_spline(self._knots, self.top_z_mm - self._depth, self._length)(along)
+        if self._height is None:
+            self._height = periodic_spline(self._knots, self.top_z_mm - self._depth, self._length)
+        z = self._height(along)
         return (round(float(x), 4), round(float(y), 4), round(float(z), 4))
 
     def _ahead_s(self) -> float:
         """How long the tip can go on by what is written; it is believed to run for ``POLL_S`` without being seen."""
-        ways = self._step_s[(np.arange(floor(self._at), self._next - 1) // self._per_point) % self._n]
-        left_s = float(ways.sum()) - (self._at - floor(self._at)) * float(ways[0]) if len(ways) else 0.0
+        first, last = floor(self._at), self._next - 1
+        if self._written[:2] != (first, last):
+            ways = self._step_s[(np.arange(first, last) // self._per_point) % self._n]
+            self._written = (first, last, float(ways.sum()), float(ways[0]) if len(ways) else 0.0)
+        *_, whole_s, first_s = self._written
+        left_s = whole_s - (self._at - first) * first_s
         return max(0.0, left_s - min(self._hands.clock.now_s() - self._at_s, POLL_S))
 
     # Following the tip.
@@ -336,6 +349,7 @@ class Laps:
         number = ceil(self._at)
         self._next = self._bitten = number
         self._depth = np.array([self.permits.cut_mm(index) for index in range(self._n)])
+        self._height = None
         self._bite = np.zeros(self._n)
         x, y, z = self._vertex(number)
         top = float(np.max(self.top_z_mm)) + LIFT_MM

@@ -21,15 +21,16 @@ def load_of_laps(depths_mm: list[float]) -> list[float]:
     machine.turn(0.0, 50_000)
     axis = np.array(QUIET.tool.axis)
     machine.carve(_ring(), depths_mm[0] - 3 * BITE_MM)
+    angles = np.linspace(0, 2 * np.pi, 1250, endpoint=False)
+    x, y = 5 + 2 * np.cos(angles), -10 + 2 * np.sin(angles)
+    outer_z = machine.skull.surface.outer_z(x, y)
     now_s, loads = 0.0, []
     for depth in depths_mm:
         torque = []
-        for angle in np.linspace(0, 2 * np.pi, 1250, endpoint=False):
+        motors_mm = np.column_stack([x, y, outer_z - depth + 0.5]) - 0.5 * axis - np.array(POWER_UP_TIP_MM)
+        for target_mm in motors_mm.tolist():
             now_s += 0.002
-            x, y = 5 + 2 * np.cos(angle), -10 + 2 * np.sin(angle)
-            z = float(machine.skull.surface.outer_z(x, y)) - depth
-            tip = np.array([x, y, z + 0.5]) - 0.5 * axis
-            machine.move_to(now_s, tuple(tip - np.array(POWER_UP_TIP_MM)))
+            machine.move_to(now_s, tuple(target_mm))
             torque.append(machine.torque_fraction(now_s, 50_000) - 0.08)
         loads.append(float(np.mean(torque[200:])))
     return loads
