@@ -12,15 +12,18 @@ _MARK: Final = re.compile(r"\bLeft\s+out:\s+(.*)", re.DOTALL)
 HEAD: Final = """\
 # What the virtual bench leaves out
 
-The virtual bench is one world that every emulated board, drive and camera shares: the drill really cuts a height field, the cameras really see it, and each device speaks
-its protocol on a wire that another process opens. The driver at the other end is the one that runs on hardware. That is what it is good for: protocols, timing, stops, faults,
+The virtual bench is one world that every emulated board, drive and camera shares: the drill really cuts a height
+field, the cameras really see it, and each device speaks its protocol on a wire that another process opens. The driver
+at the other end is the one that runs on hardware. That is what it is good for: protocols, timing, stops, faults,
 geometry, what the pictures show, and the decisions that follow from them.
 
-**It is no tissue.** No milling forces of mouse skulls are published, so the bench's are chosen; so are the strength of the membrane (a ball that reaches its plane has damaged
-it) and much of how bone looks while it thins. A rate of success on the bench says that the program does what it should under what the bench contains. It is never
-a figure beside the paper's, nor a promise about an animal.
+**It is no tissue.** No milling forces of mouse skulls are published, so the bench's are chosen; so are the strength
+of the membrane (a ball that reaches its plane has damaged it) and much of how bone looks while it thins. A rate of
+success on the bench says that the program does what it should under what the bench contains. It is never a figure
+beside the paper's, nor a promise about an animal.
 
-`--seed` draws a specimen and a rig; [the specimen file](specimen.md) says otherwise where it is written; [faults](faults.md) are planted by name.
+`--seed` draws a specimen and a rig; [the specimen file](specimen.md) says otherwise where it is written;
+[faults](faults.md) are planted by name.
 
 ## Module by module
 

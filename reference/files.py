@@ -17,13 +17,15 @@ from milling.job import RANGES, Job
 RIG_HEAD: Final = """\
 # Rig file: every key
 
-TOML. An unknown key is refused by its name, a value out of range with what is allowed. [The rig file](../rig.md) shows a whole one, with comments. What has no default must be given.
+TOML. An unknown key is refused by its name, a value out of range with what is allowed. [The rig file](../rig.md)
+shows a whole one, with comments. What has no default must be given.
 
 """
 SPECIMEN_HEAD: Final = """\
 # Specimen file: every key
 
-TOML. Every key is optional: what a file does not name, `--seed` draws, or else the default stands. [The specimen file](../specimen.md) shows a whole one, and its conventions.
+TOML. Every key is optional: what a file does not name, `--seed` draws, or else the default stands. [The specimen
+file](../specimen.md) shows a whole one, and its conventions.
 
 """
 _COLUMNS: Final = "| key | kind | default | allowed | what it is |\n|---|---|---|---|---|\n"
@@ -157,5 +159,7 @@ def _job() -> str:
             kind, allowed = "one of", '"default", "paper", "previous"'
         words = said[field.name].replace("``", "`")
         rows += f"| `{field.name}` | {kind} | {_value(field.default)} | {allowed} | {words[:1].upper()}{words[1:]} |\n"
-    about = "The window. `mill run` says otherwise for one run: [`--radius`, `--feed`, `--points`](commands.md#mill-run)."
+    about = (
+        "The window. `mill run` says otherwise for one run: [`--radius`, `--feed`, `--points`](commands.md#mill-run)."
+    )
     return f"## [job]\n\n{about}\n\n{_COLUMNS}{rows}\n"

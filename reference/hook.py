@@ -7,9 +7,10 @@ from typing import Any, Final
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
-from reference import bench, decisions, files, outputs, records
+from reference import bench, commands, decisions, files, outputs, records
 
 PAGES: Final[dict[str, Callable[[], str]]] = {
+    "reference/commands.md": commands.page,
     "reference/rig-file.md": files.rig_page,
     "reference/specimen-file.md": files.specimen_page,
     "reference/json.md": outputs.page,

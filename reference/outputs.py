@@ -13,8 +13,9 @@ from reference.source import functions, keys_of, literal, modules
 HEAD: Final = """\
 # JSON results
 
-`--json FILE` writes one object, whatever the exit code, as long as the work itself was done; `--json -` writes it to stdout, and what people read goes to stderr.
-Units are in the names, numbers are finite, and what is not known is null. These keys are the same everywhere:
+`--json FILE` writes one object, whatever the exit code, as long as the work itself was done; `--json -` writes it to
+stdout, and what people read goes to stderr. Units are in the names, numbers are finite, and what is not known is
+null. These keys are the same everywhere:
 
 | key | what it is |
 |---|---|
@@ -166,4 +167,3 @@ def page() -> str:
         parts += [f"| `{key}` | {said.get(key, '')} |\n" for key in order]
         parts.append("\n")
     return "".join(parts)
-

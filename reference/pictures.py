@@ -1,7 +1,7 @@
 """Make the pictures of the documentation anew.
 
-    python -m reference.pictures                # docs/pictures/bench.png, from a virtual bench, as the tutorial makes it
-    python -m reference.pictures runs/first     # docs/pictures/run.png as well, the top of this run's report, by chromium
+    python -m reference.pictures                # docs/pictures/bench.png, from a virtual bench, as the tutorial does
+    python -m reference.pictures runs/first     # docs/pictures/run.png as well: the top of this run's report
 
 The page beside the machine is drawn by ``tests/live/picture.py``.
 """

@@ -20,14 +20,15 @@ HEAD: Final = """\
 |---|---|
 | `header.json` | what ran: written once, before anything moves |
 | `events.jsonl` | what happened: one event a line, appended as it happens |
-| `frames/*.jpg` | pictures, at most one in two seconds of a kind unless `--picture-every` says otherwise; the first thing that a full disk costs |
+| `frames/*.jpg` | pictures, one in two seconds unless `--picture-every` says otherwise; a full disk costs them first |
 | `calibration.toml` | the calibration that the run used |
-| `result.json` | how it ended, as [`mill run --json`](json.md#mill-run-mill-resume); absent where the process was killed |
+| `result.json` | how it ended, as [`--json`](json.md#mill-run-mill-resume) tells; absent after a kill |
 | `report.html` | the page about it, made from the rest; `mill runs report RUN` makes it anew |
 
-A line of `events.jsonl` is a checksum (CRC32, eight hex digits) and a JSON object with `t`, the seconds since the record began on the monotonic clock, `kind`, and the fields
-below. A kill costs at most the line that was being written: it is dropped when the record is read, and named. Damage anywhere else is refused, with its line.
-Points count from 1; lengths are mm, places are in {R}, `_px` are pixels of the left picture unless said.
+A line of `events.jsonl` is a checksum (CRC32, eight hex digits) and a JSON object with `t`, the seconds since the
+record began on the monotonic clock, `kind`, and the fields below. A kill costs at most the line that was being
+written: it is dropped when the record is read, and named. Damage anywhere else is refused, with its line. Points
+count from 1; lengths are mm, places are in {R}, `_px` are pixels of the left picture unless said.
 
 """
 
@@ -125,7 +126,8 @@ def page() -> str:
     parts = [HEAD, "## header.json\n\n| key | what it is |\n|---|---|\n"]
     parts += [f"| `{key}` | {HEADER.get(key, '')} |\n" for key in ordered]
     parts.append("\n`mill resume` adds `resumes`, the record it goes on from.\n\n## events.jsonl\n\n")
-    parts.append("Kinds marked * are on the disk before the run goes on.\n\n| kind | what it tells | fields |\n|---|---|---|\n")
+    parts.append("Kinds marked * are on the disk before the run goes on.\n\n")
+    parts.append("| kind | what it tells | fields |\n|---|---|---|\n")
     found = told()
     for kind in [kind for kind in WORDS if kind in found] + sorted(found.keys() - WORDS.keys()):
         mark = " *" if kind in SYNCED else ""
@@ -142,7 +144,7 @@ def _calls() -> Iterator[tuple[str, ast.Call]]:
             if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute) and call.func.attr == "event"):
                 continue
             if room == "milling" and path.stem == "standing":
-                continue                               # tells an earlier run's events once more
+                continue  # tells an earlier run's events once more
             if call.args:
                 yield room, call
 

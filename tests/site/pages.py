@@ -67,7 +67,9 @@ def steps_of(text: str) -> tuple[Step, ...]:
     """Commands with what is shown below each; a block without a command is one step."""
     before, *rest = re.split(r"^\$ ", text, flags=re.MULTILINE)
     steps = [Step("", before)] if before.strip() else []
-    return tuple(steps + [Step(command.strip(), shown) for command, _, shown in (part.partition("\n") for part in rest)])
+    return tuple(
+        steps + [Step(command.strip(), shown) for command, _, shown in (part.partition("\n") for part in rest)]
+    )
 
 
 def is_shown(shown: str, said: str, *, so_far: bool = False) -> bool:

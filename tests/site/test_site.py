@@ -18,6 +18,7 @@ from firmware_sim import specimen
 from firmware_sim.faults import CATALOGUE
 from milling.latch import Reaction
 from reference import bench, files, outputs, records
+from reference.commands import commands
 
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 TEST = re.compile(r"`(tests/[\w/]+\.py)::(\w+)`")
@@ -39,7 +40,9 @@ def test_every_page_is_there_and_loads_nothing_from_elsewhere(site: Path) -> Non
     assert {"index.html", "tutorial.html", "rig-file.html", "commands.html", "0001-rooms-and-arrows.html"} <= {
         page.name for page in pages
     }
-    loaded = re.compile(r'<(?:script|img|iframe|source)[^>]*\ssrc="([^"]*)"|<link[^>]*rel="?(?:stylesheet|icon|preload|preconnect)[^>]*>')
+    loaded = re.compile(
+        r'<(?:script|img|iframe|source)[^>]*\ssrc="([^"]*)"|<link[^>]*rel="?(?:stylesheet|icon|preload|preconnect)[^>]*>'
+    )
     for page in pages:
         text = page.read_text(encoding="utf-8")
         for found in loaded.finditer(text):
@@ -49,7 +52,7 @@ def test_every_page_is_there_and_loads_nothing_from_elsewhere(site: Path) -> Non
 def test_every_command_is_in_the_reference(site: Path) -> None:
     text = (site / "reference/commands.html").read_text(encoding="utf-8")
     for words, command in commands():
-        assert f'id="{"-".join(["mill", *words])}"' in text
+        assert f'id="{"-".join(("mill", *words))}"' in text
         for option in command.params:
             assert all(name in text for name in option.opts if name.startswith("--"))
 
@@ -60,7 +63,9 @@ def test_every_key_of_a_file_says_what_it_is() -> None:
     assert len(rows) > 100
     assert not [row for row in rows if row.endswith("|  |")], "say it in a string under the attribute"
     for model in (config.RigConfig, specimen.Specimen):
-        assert all(f"`{field.alias or name}`" in text or f"[{name}]" in text for name, field in model.model_fields.items())
+        assert all(
+            f"`{field.alias or name}`" in text or f"[{name}]" in text for name, field in model.model_fields.items()
+        )
 
 
 def test_limits_of_a_file_are_those_that_are_checked() -> None:
@@ -123,18 +128,3 @@ def named_commands(text: str) -> list[list[str]]:
     typed = re.findall(r"^(?:    |\$ )mill ([^\n]*)$", text, re.MULTILINE) + re.findall(r"`mill ([^`]*)`", text)
     typed += [piece for line in typed for piece in re.findall(r"\| mill (.*)", line)]
     return [shlex.split(line.replace("'", '"') if line.count("'") % 2 else line, comments=True) for line in typed]
-
-
-def commands() -> list[tuple[list[str], click.Command]]:
-    """Every command, with the words that call it."""
-    found: list[tuple[list[str], click.Command]] = []
-    waiting: list[tuple[list[str], click.Command]] = [([], mill)]
-    while waiting:
-        words, command = waiting.pop()
-        if isinstance(command, click.Group):
-            context = click.Context(command)
-            inner = [(name, command.get_command(context, name)) for name in command.list_commands(context)]
-            waiting += [([*words, name], each) for name, each in inner if each is not None]
-        if words:
-            found.append((words, command))
-    return found
