@@ -1,4 +1,4 @@
-"""MkDocs asks here for the pages that are written from the code, and for what the navigation does not name."""
+"""MkDocs asks here for the pages that are written from the code, and for those that its navigation does not name."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -28,10 +28,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Name every page in the navigation: decisions under theirs, what nobody named under How-to."""
+    """Name every page of docs/ in the navigation: what nobody named, under How-to."""
     folder = Path(config.docs_dir)
     sections = {title: pages for entry in config.nav or [] for title, pages in entry.items()}
-    sections["Decisions"] += [f"decisions/{path.name}" for path in sorted((folder / "decisions").glob("*.md"))]
     named = set(_names(config.nav))
     sections["How-to"] += [path.name for path in sorted(folder.glob("*.md")) if path.name not in named]
     return config

@@ -13,6 +13,7 @@ from reader import Reader, StandIn
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "cli"))
 
+from processes import started
 from served_bench import served_bench
 
 PAGES = sorted(path.name for path in DOCS.glob("*.md") if blocks(path))
@@ -35,7 +36,7 @@ LEFT_BEHIND: dict[str, dict[str, StandIn]] = {
 AT_FIRST: dict[str, StandIn] = {"after-a-crash.md": lambda folder: record(folder / "runs/crashed", None)}
 """By page, what its reader has when they come to it."""
 LONG = [name for name in PAGES if any(block.takes_long for block in blocks(DOCS / name)) and name not in AT_FIRST]
-"""A window that a kill left behind is resumed in tests/cli/test_real_processes.py."""
+KILLED_S = 300.0
 
 
 @pytest.fixture
@@ -74,6 +75,22 @@ def test_a_reader_who_follows_the_page_reaches_its_end(name: str, folder: Path) 
     with bench_for(page, folder, quick=False), Reader(folder) as reader:
         for block in page:
             reader.follow(block)
+
+
+@pytest.mark.long
+def test_a_window_that_a_kill_left_behind_is_finished_as_the_page_shows(folder: Path) -> None:
+    crashed, calibration = folder / "runs/crashed", folder / "calibration.toml"
+    with served_bench(folder) as bench:
+        rig = ("--rig", str(bench.rig_file))
+        with started("calibrate", *rig, "--out", str(calibration)) as calibrate:
+            assert calibrate.end(KILLED_S) == 0, calibrate.said
+        with started("run", *rig, "--calibration", str(calibration), "--record", str(crashed)) as run:
+            assert run.comes_to("mill: ", KILLED_S), run.said
+            run.process.kill()
+            run.process.wait(KILLED_S)
+        with Reader(folder) as reader:
+            for block in blocks(DOCS / "after-a-crash.md"):
+                reader.follow(block)
 
 
 def test_by_hand_is_only_what_no_test_can_type() -> None:
