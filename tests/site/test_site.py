@@ -19,6 +19,7 @@ from firmware_sim.faults import CATALOGUE
 from milling.latch import Reaction
 from reference import bench, files, outputs, records
 from reference.commands import commands
+from reference.source import functions, keys_of
 
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 TEST = re.compile(r"`(tests/[\w/]+\.py)::(\w+)`")
@@ -82,6 +83,12 @@ def test_every_key_of_a_result_says_what_it_is() -> None:
 def test_every_event_and_every_key_of_the_header_says_what_it_is() -> None:
     assert set(records.WORDS) == set(records.told()), "say it in reference/records.py"
     assert set(records.HEADER) == records.header_keys(), "say it in reference/records.py"
+
+
+def test_the_fields_of_a_lap_are_those_of_the_source() -> None:
+    tree = ast.parse((ROOT / "milling/journal.py").read_text(encoding="utf-8"))
+    (lap_told,) = (function for function in functions(tree) if function.name == "lap_told")
+    assert set(records.told()["lap"]) == keys_of(ast.Name("told"), lap_told, tree)
 
 
 def test_what_the_bench_leaves_out_is_taken_from_its_modules() -> None:
