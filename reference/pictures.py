@@ -21,7 +21,7 @@ PICTURES: Final = ROOT / "docs/pictures"
 MILL: Final = (sys.executable, "-m", "cli.main")
 WIDTH_PX: Final = 640
 """Of each eye."""
-REPORT_PX: Final = (1007, 672)
+REPORT_PX: Final = (1007, 760)
 
 
 def both_eyes(folder: Path) -> None:
@@ -47,7 +47,14 @@ def top_of_report(run: Path, folder: Path) -> None:
     """The report's first screen."""
     report = (run / "report.html").resolve().as_uri()
     size = f"--window-size={REPORT_PX[0]},{REPORT_PX[1]}"
-    quiet = ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", f"--user-data-dir={folder / 'browser'}")
+    quiet = (
+        "--headless",
+        "--hide-scrollbars",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--no-first-run",
+        f"--user-data-dir={folder / 'browser'}",
+    )
     command = ["chromium", *quiet, size, f"--screenshot={PICTURES / 'run.png'}", report]
     subprocess.run(command, check=True, timeout=120.0)
 

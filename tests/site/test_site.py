@@ -10,6 +10,7 @@ from pathlib import Path
 
 import click
 import pytest
+from mkdocs.config.defaults import MkDocsConfig
 from pages import DOCS, ROOT
 
 from cli import config
@@ -19,6 +20,7 @@ from firmware_sim.faults import CATALOGUE
 from milling.latch import Reaction
 from reference import bench, files, outputs, records
 from reference.commands import commands
+from reference.hook import on_config
 from reference.source import functions, keys_of
 
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
@@ -48,6 +50,14 @@ def test_every_page_is_there_and_loads_nothing_from_elsewhere(site: Path) -> Non
         text = page.read_text(encoding="utf-8")
         for found in loaded.finditer(text):
             assert "//" not in found[0], f"{page.name}: {found[0]}"
+
+
+def test_a_page_that_nobody_named_is_found_under_how_to(tmp_path: Path) -> None:
+    for name in ("known.md", "new.md"):
+        (tmp_path / name).touch()
+    site = MkDocsConfig()
+    site.load_dict({"site_name": "x", "docs_dir": str(tmp_path), "nav": [{"How-to": []}, {"Known": "known.md"}]})
+    assert on_config(site).nav == [{"How-to": ["new.md"]}, {"Known": "known.md"}]
 
 
 def test_every_command_is_in_the_reference(site: Path) -> None:
