@@ -25,10 +25,13 @@ rules: ## how well the safety rules are tested: every line and branch, and every
 fuzz: ## a million spoilt inputs into every parser (an hour or less)
 	$(BIN)/python tests/drivers/fuzz.py --inputs 1000000
 
+docs: ## the documentation as a site into site/; a warning is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
 OUT ?= weights
 weights: ## train all three networks from nothing into OUT, on two cores (25 minutes)
 	printf '%s\n' landmarks completion tip | xargs -P 3 -I{} $(BIN)/mill train {} --out $(OUT)/{}.onnx
 
 all: check test ## what CI runs
 
-.PHONY: help install check test test-long rules fuzz weights all
+.PHONY: help install check test test-long rules fuzz docs weights all

@@ -29,11 +29,13 @@ class BoardTable(Table):
     """A motion board on a serial port."""
 
     port: str
+    """Serial port, by a name that stays."""
     baud: int = Field(115200, gt=0)
     """USB boards take any."""
     origin_mm: Vector
     """Where the board's machine coordinates put the origin of {R}."""
     max_feed_mm_s: Positive = 20.0
+    """A faster move is refused."""
     reply_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
     """How long a status report is waited for; three missed ones in a row stop the machine."""
     firmware: str = ""
@@ -61,15 +63,19 @@ class BcapMotion(Table):
 
     backend: Literal["bcap"] = "bcap"
     host: str
+    """The controller's address."""
     port: int = Field(5007, ge=1, le=65_535)
+    """UDP port of its b-CAP server."""
     origin_mm: Vector
     """Where the origin of {R} is in the robot's frame."""
     orientation_deg: Vector
     """RX, RY, RZ of the tool, the same in every move."""
     travel_low_mm: Vector
+    """The low corner of the box in {R} that targets stay in: the controller has none of its own."""
     travel_high_mm: Vector
-    """The box in {R} that targets stay in: the controller has none of its own."""
+    """Its high corner."""
     max_feed_mm_s: Positive = 20.0
+    """A faster move is refused."""
     reply_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1
     """How long a reply is waited for before asking again; three tries without one are an error."""
 
@@ -78,7 +84,9 @@ class SpindleTable(Table):
     """What every drill is told."""
 
     speed_rpm: Positive = 45_000.0
+    """Milling speed."""
     max_speed_rpm: Annotated[Positive, Field(validate_default=True)] = 60_000.0
+    """Refused above this, whatever the drive allows."""
 
     @field_validator("max_speed_rpm")
     @classmethod
@@ -93,10 +101,15 @@ class Cia402SpindleTable(SpindleTable):
 
     backend: Literal["cia402"] = "cia402"
     interface: Literal["slcan", "socketcan"] = "slcan"
+    """A serial adapter, or a CAN interface of the kernel."""
     channel: str
+    """The adapter's serial port, or the interface's name."""
     bitrate: Literal[10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000] = 1_000_000
+    """Of the bus, as the drive is set."""
     node_id: int = Field(1, ge=1, le=126)
+    """Of the drive on the bus."""
     heartbeat_s: Annotated[float, Field(ge=0.05, le=1.0)] = 0.25
+    """The drive stops by itself after this silence of the host, the host after 0.8 of it of the drive."""
 
 
 class ModbusSpindleTable(SpindleTable):
@@ -104,15 +117,21 @@ class ModbusSpindleTable(SpindleTable):
 
     backend: Literal["modbus"] = "modbus"
     port: str
+    """Serial port, by a name that stays."""
     baud: Literal[4_800, 9_600, 19_200, 38_400, 57_600, 115_200] = 38_400
+    """Parameter 09-01."""
     framing: Literal["8N1", "8N2", "8E1", "8O1"] = "8N2"
+    """Data bits, parity, stop bits: parameter 09-04."""
     station: int = Field(1, ge=1, le=247)
+    """Parameter 09-00."""
     rated_current_a: Positive
     """Of the motor; torque is told as a share of it."""
     poles: Literal[2, 4, 6, 8] = 2
+    """Of the motor; rpm = 60 x Hz x 2 / poles."""
     frequency_decimals: Literal[1, 2] = 2
     """1 for high-speed models, which count in 0.1 Hz."""
     heartbeat_s: Annotated[float, Field(ge=0.2, le=1.0)] = 0.3
+    """In steps of 0.1; written into 09-03 while the drill is to turn."""
 
     @field_validator("heartbeat_s")
     @classmethod
@@ -135,13 +154,21 @@ class OpenCvCamera(Table):
 
     backend: Literal["opencv"] = "opencv"
     left: str
+    """A V4L2 device by stable path, or a URL."""
     right: str
+    """The same of the right eye."""
     size_px: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] = (960, 540)
+    """Width and height of each picture."""
     fps: Positive = 30.0
+    """Pictures per second and eye."""
     max_skew_s: Positive = 0.02
+    """Between the exposures of left and right."""
     exposure: Annotated[Finite | None, Field(validate_default=True)] = None
+    """Fixed, in the camera's own unit; needed for V4L2 devices."""
     gain: Finite | None = None
+    """Fixed, in the camera's own unit."""
     white_balance_k: Positive | None = None
+    """Fixed, in kelvin."""
 
     @field_validator("exposure")
     @classmethod
@@ -162,7 +189,9 @@ class ToolTable(Table):
     """The ball at the end of the drill, and which way the shank goes up, in {R}."""
 
     ball_radius_mm: Annotated[float, Field(ge=0.1, le=2.0)] = 0.5
+    """Of the drill."""
     axis: Vector = (math.sin(math.radians(40.0)), 0.0, math.cos(math.radians(40.0)))
+    """From the tip up the shank, in {R}; any length."""
 
     @property
     def center_from_tip_mm(self) -> tuple[float, float, float]:
@@ -190,22 +219,34 @@ class CertificateTable(Table):
     """What `mill doctor` must have found before `mill run` mills."""
 
     required: bool = True
+    """Whether `mill run` asks for one."""
     max_age_h: Positive = 168.0
+    """An older one is refused."""
     hold_ms: Positive = 250.0
+    """From the request to hold until the axes stand."""
     round_trip_ms: Positive = 50.0
+    """Of a motion report, 99 of 100."""
     frame_age_ms: Positive = 100.0
+    """Of a pair of pictures at delivery, the median."""
     spindle_stop_s: Positive = 3.0
+    """From the request to standstill."""
     backlash_mm: Positive = 0.025
+    """Of X and Y, seen by the cameras; four times that of Z."""
     scale: Positive = 0.005
+    """Change of the steps per mm since the certificate before, as a share."""
     free_disk_mb: Positive = 1000.0
+    """Where records go."""
 
 
 class WeightsTable(Table):
     """Networks in place of mill's own, as `mill train` writes them; paths count from the rig file."""
 
     tip: Path | None = None
+    """Finds the drill's ball."""
     landmarks: Path | None = None
+    """Finds bregma and lambda."""
     completion: Path | None = None
+    """Reads how far the ring is through."""
 
 
 def study_word(text: str) -> str:
@@ -236,7 +277,9 @@ class RigConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     schema_: Literal[1] = Field(alias="schema")
+    """Of this kind of file."""
     name: str
+    """The calibration file and the certificate are called after it."""
     motion: GrblMotion | TinyGMotion | BcapMotion | OtherBackend
     spindle: Cia402SpindleTable | ModbusSpindleTable | GrblSpindleTable | OtherBackend
     camera: OpenCvCamera | OtherBackend

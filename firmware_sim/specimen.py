@@ -27,24 +27,33 @@ class Curvature(_Table):
     """Radii of curvature of the outer surface at the middle of bregma and lambda, in mm."""
 
     lateral: Positive = 7.0
+    """Across the midline."""
     rostrocaudal: Positive = 12.0
+    """Along the midline."""
 
 
 class Tilt(_Table):
     """How the skull sits in {R}, in degrees: pitch lifts the nose, roll the animal's right side; yaw turns about +z."""
 
     pitch: Annotated[float, Field(ge=-20, le=20)] = 3.0
+    """Lifts the nose."""
     roll: Annotated[float, Field(ge=-20, le=20)] = -2.0
+    """Lifts the animal's right side."""
     yaw: Annotated[float, Field(ge=-180, le=180)] = 8.0
+    """About +z of {R}; without it the nose points along -x."""
 
 
 class Thickness(_Table):
     """Local bone thickness, in mm; waviness is the standard deviation of its smooth variation."""
 
     mean: Positive = 0.38
+    """In mm, as all of these."""
     min: Positive = 0.27
+    """Nowhere thinner."""
     max: Positive = 0.51
+    """Nowhere thicker."""
     waviness: Annotated[float, Field(ge=0)] = 0.03
+    """Standard deviation of its smooth variation."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "Thickness":
@@ -57,30 +66,42 @@ class SkullShape(_Table):
     """Where the bone is."""
 
     bregma_lambda_mm: Annotated[float, Field(ge=2, le=8)] = 4.2
+    """From bregma to lambda."""
     radius_of_curvature_mm: Curvature = Curvature()
     tilt_deg: Tilt = Tilt()
     center_mm: Vector3 = (5.0, -10.0, -2.5)
+    """The outer surface midway between bregma and lambda, in {R}."""
     thickness_mm: Thickness = Thickness()
     height_map: Path | None = None
+    """NumPy file of float32 mm, spaced by `grid_mm`; replaces the curvature."""
     thickness_map: Path | None = None
+    """The same of the thickness; replaces `thickness_mm`."""
     grid_mm: Annotated[float, Field(ge=0.01, le=0.05)] = 0.02
+    """Of both maps and of the bone."""
 
 
 class Membrane(_Table):
     """The dura below the bone's inner surface."""
 
     clearance_mm: Annotated[float, Field(ge=0, le=1)] = 0.10
+    """From the bone's inner surface down to the dura."""
 
 
 class AppearanceStyle(_Table):
     """What it looks like; the hue, the light and the texture themselves are drawn from the specimen's seed."""
 
     texture: Path | None = None
+    """A photograph of a skull in place of the drawn one."""
     bregma_px: tuple[float, float] | None = None
+    """Where the photograph shows it: x right, y down, from its top left corner."""
     lambda_px: tuple[float, float] | None = None
+    """The same of lambda."""
     brightness: Annotated[float, Field(gt=0.05, le=4)] = 1.0
+    """Times the usual light."""
     wetness: Share = 0.5
+    """0 dry to 1 wet: highlights, drops of saline."""
     dust: Share = 0.5
+    """0 none to 1: bone dust round the kerf."""
 
     @model_validator(mode="after")
     def _complete(self) -> "AppearanceStyle":
@@ -93,28 +114,41 @@ class BoneMechanics(_Table):
     """How the bone answers to the drill."""
 
     stiffness_n_per_mm: Positive = 20.0
+    """Of the skull under axial force."""
     flap_softening: Annotated[float, Field(ge=0, lt=1)] = 0.6
+    """Share of that stiffness that a freed flap has lost."""
 
 
 class SpindleSignal(_Table):
     """Imperfections of the torque signal, as shares of the nominal cutting torque."""
 
     torque_noise: Annotated[float, Field(ge=0)] = 0.03
+    """One standard deviation at 100 Hz."""
     torque_ripple: Annotated[float, Field(ge=0)] = 0.05
+    """With the turning of the shaft."""
     torque_drift: float = 0.02
+    """Per minute."""
 
 
 class Rig(_Table):
     """The truth that calibration must find."""
 
     seed: int = 3
+    """Direction of the tilt, twist, roll, scales and centres of each eye, shape and colour of the drill."""
     microscope_tilt_deg: Annotated[float, Field(ge=0, le=25)] = 12.0
+    """Of the microscope against {R}."""
     toe_in_deg: Annotated[float, Field(gt=0, le=20)] = 7.26
+    """Of each eye."""
     perspective: Annotated[float, Field(ge=0, le=0.2)] = 0.02
+    """Relative change of scale per 10 mm of depth."""
     distortion: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.01
+    """Relative shift 480 px from the picture's centre."""
     noise_dn: Annotated[float, Field(ge=0, le=40)] = 2.0
+    """Grey levels, one standard deviation in the mid tones."""
     backlash_mm: Annotated[float, Field(ge=0, le=0.5)] = 0.005
+    """Play of each axis."""
     run_out_mm: Annotated[float, Field(ge=0, le=0.2)] = 0.01
+    """Radius of the ball centre's orbit while it turns."""
 
 
 def _unit(axis: Vector3) -> Vector3:
@@ -128,15 +162,20 @@ class Tool(_Table):
     """The ball drill: axis from the tip up the shank, in {R}."""
 
     ball_radius_mm: Annotated[float, Field(ge=0.1, le=1.5)] = 0.5
+    """Of the ball."""
     axis: Annotated[Vector3, AfterValidator(_unit)] = (0.6427876096865393, 0.0, 0.766044443118978)
+    """From the tip up the shank; any length."""
 
 
 class Specimen(_Table):
     """One specimen on one rig."""
 
     schema_: Annotated[Literal[1], Field(alias="schema")] = 1
+    """Of this kind of file."""
     kind: Kind = "mouse"
+    """A mouse's skull, or a smooth pale shell without landmarks."""
     seed: int = 0
+    """Hue, light, patches, vessels, sutures, fur, where thickness waves, what spills when."""
     skull: SkullShape = SkullShape()
     membrane: Membrane = Membrane()
     appearance: AppearanceStyle = AppearanceStyle()

@@ -11,7 +11,7 @@ from milling.limits import Limits
 
 PolicyName = Literal["default", "paper", "previous"]
 
-_RANGES: dict[str, tuple[float, float]] = {
+RANGES: dict[str, tuple[float, float]] = {
     "radius_mm": (2.0, 4.0),
     "n_points": (8, 128),
     "landmark_ratio": (0.0, 1.0),
@@ -57,14 +57,17 @@ class Job:
         removal_rate_mm2_s: feed times bite; what published practice allows the bone.
         bite_mm: the deepest bite of one visit.
         late_bite_mm: the same, once less than ``late_margin_mm`` of bone may remain.
+        late_margin_mm: from here on bites are late ones.
         thickness_low_mm, thickness_high_mm: the thickness prior. Past its low end two cues must say "bone";
             its high end, measured from the point's own contact, is never passed.
+        spindle_rpm: while milling; the rig file's `speed_rpm` unless told.
         completion_threshold: the upper bound of completion at which the picture says "through".
         detection_gate_px, calibration_gate_mm: the paper's gates before anything is milled.
         segment_s: the longest that one queued segment may take.
         max_laps: a run that needs more is held.
         center_mm: the ring's centre in {R}, its height near the surface, in place of bregma and lambda: where the tip
             stands over the middle of the window, say. For bone that has no landmarks.
+        policy: how to go deeper; "paper" and "previous" ask nobody and are for comparison on a virtual bench.
     """
 
     radius_mm: float = 2.0
@@ -90,7 +93,7 @@ class Job:
     policy: PolicyName = "default"
 
     def __post_init__(self) -> None:
-        for key, (low, high) in _RANGES.items():
+        for key, (low, high) in RANGES.items():
             value = getattr(self, key)
             whole = key in ("n_points", "max_laps")
             if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)) or not isfinite(value):
