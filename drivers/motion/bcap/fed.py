@@ -67,6 +67,7 @@ class FedRobot(MotionController):
             "reply_s": reply_s, "noted": noted is not None,
         }  # fmt: skip
         self._closed = False
+        self._lost = False
         lock = DeviceLock(udp_device(host, port))
         try:
             with connected(host, port) as sock:
@@ -182,7 +183,8 @@ class FedRobot(MotionController):
         """Bring the arm to rest, switch its motor off, end the process."""
         if not self._closed:
             try:
-                self._ask("close")
+                if not self._lost:
+                    self._ask("close")
             finally:
                 self._end()
 
@@ -241,6 +243,7 @@ class FedRobot(MotionController):
         return ConnectionLostError(f"{self._name}: the controller was closed; open it again")
 
     def _gone(self) -> ConnectionLostError:
+        self._lost = True
         return ConnectionLostError(
             f"{self._name}: the process that feeds the robot has ended, and without set-points the arm has stopped; "
             "open it again, and home"
