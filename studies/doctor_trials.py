@@ -106,7 +106,7 @@ def patient(bench: Bench, clock: SimClock, *, free_disk_mb: float = 1e6) -> Pati
 
 @contextmanager
 def _held_port() -> Iterator[str]:
-    """A port that another process has: the board's own wire is in this one, and only the kernel tells who holds what."""
+    """A port that another process has: the board's own wire is in this one."""
     with closing(SerialPty()) as port:
         words = [sys.executable, "-c", _HOLDER, port.path]
         with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
