@@ -86,6 +86,8 @@ def test_a_g2core_board_is_known_as_it_is_set_and_nothing_is_written(verbosity: 
     board = TinyGBoard(Axes())
     clock.attach(board.advance_to)
     line = InProcessLine(board, clock)
+    clock.sleep_s(3.0)
+    line.read(0.1)
     line.write(b'{"jv":%d}\n' % verbosity)
     clock.sleep_s(0.1)
     line.read(0.1)
