@@ -25,6 +25,7 @@ from typing import Any
 
 import can
 from fuzz_recorded import bcap_replies, g2core_answers, modbus_replies
+from pymodbus.framer.rtu import FramerRTU
 from sessions import HandClock, load
 
 from drivers.camera.multipart import PartReader
@@ -290,6 +291,9 @@ def _modbus(_place: Path) -> Feed:
     wire = ModbusWire(line, clock, station=1, baud=115_200)
 
     def feed(data: bytes) -> None:
+        if len(data) % 2:
+            # A checksum that fits lets what lies behind it have a look at the rest.
+            data = data[:-2] + FramerRTU.compute_CRC(data[:-2]).to_bytes(2, "big")
         # What comes before a question is thrown away: the answer is there once it was asked.
         line.write = lambda _frame: setattr(line, "due", data)  # type: ignore[method-assign]
         registers = wire.read(delta_registers.REPORT, delta_registers.REPORT_LENGTH, 0.1)

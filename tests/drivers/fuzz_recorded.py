@@ -15,16 +15,27 @@ from firmware_sim.modbus_drive import ModbusDrive
 
 
 class KeptLine(InProcessLine):
-    """Keeps what was read."""
+    """Keeps what was read, each datagram or all that came between two writes, once."""
 
-    def __init__(self, board: MotionBoard, clock: SimClock) -> None:
+    def __init__(self, board: MotionBoard, clock: SimClock, *, datagrams: bool) -> None:
         super().__init__(board, clock)
-        self.said: dict[bytes, None] = {}
+        self._datagrams = datagrams
+        self._answers = [b""]
+
+    @property
+    def said(self) -> Sequence[bytes]:
+        return list(dict.fromkeys(filter(None, self._answers)))
+
+    def write(self, data: bytes) -> None:
+        self._answers.append(b"")
+        super().write(data)
 
     def read(self, timeout_s: float) -> bytes:
         data = super().read(timeout_s)
-        if data:
-            self.said[data] = None
+        if self._datagrams:
+            self._answers.append(data)
+        else:
+            self._answers[-1] += data
         return data
 
 
@@ -42,7 +53,7 @@ def bcap_replies() -> Sequence[bytes]:
     clock = SimClock()
     board = RcController(Axes())
     clock.attach(board.advance_to)
-    line = KeptLine(board, clock)
+    line = KeptLine(board, clock, datagrams=True)
     travel = Travel((-10.0, -30.0, -8.0), (24.5, 9.5, 19.5))
     with BcapController(
         line, clock, origin_mm=(326.0, -129.0, 221.0), orientation_deg=(180.0, 0.0, 180.0), travel=travel,
@@ -51,7 +62,7 @@ def bcap_replies() -> Sequence[bytes]:
         robot.home()
         robot.start_move((22.0, 8.0, 18.0), feed_mm_per_s=20.0)
         robot.wait_until_idle(5.0)
-    return list(line.said)
+    return line.said
 
 
 @cache
@@ -77,10 +88,10 @@ def modbus_replies() -> Sequence[bytes]:
     clock = SimClock()
     drive = ModbusDrive(_Load())
     clock.attach(drive.advance_to)
-    line = KeptLine(drive, clock)
+    line = KeptLine(drive, clock, datagrams=False)
     with ModbusSpindle(
         line, clock, max_speed_rpm=60_000, rated_current_a=3.0, baud=115_200, frequency_unit_hz=0.1, heartbeat_s=0.3
     ) as spindle:
         spindle.start(20_000)
         spindle.wait_until_at_speed(10.0)
-    return list(line.said)
+    return line.said
