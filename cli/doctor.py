@@ -40,7 +40,7 @@ def doctor(chosen: BenchChoice, json_file: Path | None, no_motion: bool, recerti
     """Measure a rig: computer, motion, spindle, cameras, and all of them together.
 
     The axes home, move in the air and visit the setpoints of a calibration; the spindle turns for some seconds. It
-    takes about a minute and a half. When every check passes it writes a certificate, bound to these very devices, which
+    takes about two minutes. When every check passes it writes a certificate, bound to these very devices, which
     `mill run` asks for; with one from before, it tells what has changed since. Exits 0 only if every check passes.
     """
     from cli.reports.doctor_report import write_doctor_report
