@@ -49,6 +49,8 @@ from vision.keypoints import TipFinder
 _HOLDER: Final = "import fcntl, sys; f = open(sys.argv[1]); fcntl.flock(f, 2); print(flush=True); sys.stdin.read()"
 SPEED_RPM: Final = 45_000.0
 NEXT_TO_NOTHING_MB: Final = 12.0
+BUSY: Final = ("computer: wakes up late", "computer: write to disk")
+"""What other programs on the computer do to it."""
 NAMED: Final = {
     "camera.swapped": r"eyes: left, right and mirrored.*(swapped|exchanged)",
     "camera.mirrored": r"eyes: left, right and mirrored.*mirror",
@@ -154,8 +156,12 @@ def examine_one(seed: int, faults: Sequence[str], out: Path) -> None:
 
 
 def summary(rows: Sequence[Figures]) -> Figures:
-    """Rigs that were well and called ill; and of each fault, how often it was found by name."""
+    """Rigs that were well and called ill; and of each fault, how often it was found by name.
+
+    The computer is the one that makes the study: that it was found busy is told, and no false alarm.
+    """
     well = [row for row in rows if row["fault"] not in NAMED]
+    alarms = [[each for each in row["failed"] if not each.startswith(BUSY)] for row in well]
     found = {}
     for fault, finding in NAMED.items():
         mine = [row for row in rows if row["fault"] == fault]
@@ -163,8 +169,12 @@ def summary(rows: Sequence[Figures]) -> Figures:
             hits = sum(any(re.search(finding, each) for each in row["failed"]) for row in mine)
             found[fault] = {"examinations": len(mine), "found": hits}
     return {
-        "well": {"examinations": len(well), "false_alarms": sum(bool(row["failed"]) for row in well)},
-        "false_alarms_told": sorted({each for row in well for each in row["failed"]}),
+        "well": {
+            "examinations": len(well),
+            "false_alarms": sum(map(bool, alarms)),
+            "computer_busy": sum(any(each.startswith(BUSY) for each in row["failed"]) for row in well),
+        },
+        "false_alarms_told": sorted({each for told in alarms for each in told}),
         "faults": found,
     }
 
