@@ -97,7 +97,7 @@ def doctor_trials(result: Figures) -> list[str]:
         "",
         f"`python -m studies.doctor_trials --seeds {first[0]}-{first[-1]} --fault-seeds ... --out DIR --json FILE`:",
         f"virtual clock. Rigs that are well, each with and without a certificate: {well['examinations']} examinations,",
-        f"{well['false_alarms']} false alarms; in {well['computer_busy']} the computer of the study itself was found busy.",
+        f"{well['false_alarms']} false alarms; {well['computer_busy']} times the study's own computer was found busy.",
         "Planted, and found by name:",
         "",
         "| fault | examinations | found |",
