@@ -52,8 +52,9 @@ def devices(
     Without --identify, --suggest and --pictures none is opened. With --rig, the ports and addresses that the rig file
     names are listed too, such as those of a virtual bench.
 
-    --identify asks a serial port for GRBL's status and version or an SLCAN adapter's, and listens to a CAN bus. No
-    command is sent that moves or resets anything; but opening a port raises DTR, on which some boards start anew.
+    --identify asks a serial port for GRBL's or g2core's version or an SLCAN adapter's, listens to a CAN bus, and asks a
+    robot that the rig file names. No command is sent that moves or resets anything; but opening a port raises DTR, on
+    which some boards start anew.
     """
     from cli.config import load_rig
     from drivers.discovery import find_devices
@@ -66,7 +67,7 @@ def devices(
     if suggest is not None and str(suggest) != "-" and suggest.exists():
         raise ConfigError(f"{suggest}: exists and is not written over; name another file")
     config = load_rig(rig) if rig is not None else None
-    named = _named(config) if config else ((), ())
+    named = _named(config) if config else ((), (), ())
     clock = SystemClock()
 
     def say(line: str) -> None:
@@ -128,11 +129,15 @@ def _key(device: "FoundDevice") -> tuple[str | None, ...]:
     return (device.kind, device.path, device.usb_id, device.serial_number)
 
 
-def _named(config: "RigConfig") -> tuple[list[str], list[str]]:
-    """The ports and the cameras that a rig file names, of any make."""
+def _named(config: "RigConfig") -> tuple[list[str], list[str], list[tuple[str, int]]]:
+    """The ports, the cameras and the robot that a rig file names, of any make."""
+    from cli.config import BcapMotion
+
     camera = config.camera.model_dump()
     cameras = [name for side in ("left", "right") if isinstance(name := camera.get(side), str)]
-    return [*_ports(config.motion), *_ports(config.spindle)], cameras
+    motion = config.motion
+    robots = [(motion.host, motion.port)] if isinstance(motion, BcapMotion) else []
+    return [*_ports(motion), *_ports(config.spindle)], cameras, robots
 
 
 def _ports(table: "BaseModel") -> list[str]:
@@ -142,10 +147,11 @@ def _ports(table: "BaseModel") -> list[str]:
 
 
 def _of_other_makes(config: "RigConfig | None") -> dict[str, str]:
-    """By port, the makes whose wires mill does not know: its questions might be commands to them."""
-    from cli.config import OtherBackend
+    """By port, the makes that take mill's questions for something else: of a third party, or at another speed."""
+    from cli.config import ModbusSpindleTable, OtherBackend
 
-    tables = [table for table in (config.motion, config.spindle) if isinstance(table, OtherBackend)] if config else []
+    unasked = (OtherBackend, ModbusSpindleTable)
+    tables = [table for table in (config.motion, config.spindle) if isinstance(table, unasked)] if config else []
     return {
         value: table.backend
         for table in tables
@@ -157,14 +163,18 @@ def _of_other_makes(config: "RigConfig | None") -> dict[str, str]:
 def _identified(
     found: Iterable["FoundDevice"], clock: Clock, other_makes: Mapping[str, str]
 ) -> Iterator[tuple[str, "Identified"]]:
-    from drivers.identify import Identified, identify_can, identify_port
+    from drivers.identify import Identified, identify_can, identify_port, identify_robot
 
+    asks: dict[str, Callable[[str, Clock], Identified]] = {
+        "serial": identify_port,
+        "can": identify_can,
+        "robot": identify_robot,
+    }
     for device in found:
         if device.path in other_makes:
             yield device.path, Identified(None, f"not asked: backend {other_makes[device.path]!r} of the rig file")
         elif device.kind != "camera" and not device.held_by and not device.problem:
-            ask = identify_port if device.kind == "serial" else identify_can
-            yield device.path, ask(device.name, clock)
+            yield device.path, asks[device.kind](device.name, clock)
 
 
 def _saved(

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -39,7 +40,7 @@ def doctor(chosen: BenchChoice, json_file: Path | None, no_motion: bool, recerti
     """Measure a rig: computer, motion, spindle, cameras, and all of them together.
 
     The axes home, move in the air and visit the setpoints of a calibration; the spindle turns for some seconds. It
-    takes about a minute and a half. When every check passes it writes a certificate, bound to these very devices, which
+    takes about two minutes. When every check passes it writes a certificate, bound to these very devices, which
     `mill run` asks for; with one from before, it tells what has changed since. Exits 0 only if every check passes.
     """
     from cli.reports.doctor_report import write_doctor_report
@@ -50,25 +51,25 @@ def doctor(chosen: BenchChoice, json_file: Path | None, no_motion: bool, recerti
     checks: list[Check] = []
     seen: list[Calibration] = []
     with rig_for(chosen, plants=("disk",)) as bench:
-        patient = _patient(bench, chosen, moving=not no_motion)
-        console.print("who is there", style="dim")
-        there = attendance(patient)
-        earlier = None if recertify else _earlier(there.devices)
-        if earlier is not None:
-            console.print(f"compared with the certificate of {earlier.date}", style="dim")
-        for check in examine(replace(patient, earlier=earlier), seen.append, _words):
-            checks.append(check)
-            if bench.trace is not None:
-                bench.trace.event("check", **check.to_json())
-            _show(console, check)
+        working = console.status("who is there")
+        patient = _patient(bench, chosen, moving=not no_motion, doing=working.update)
+        with working:
+            there = attendance(patient)
+            earlier = None if recertify else _earlier(there.devices)
+            if earlier is not None:
+                console.print(f"compared with the certificate of {earlier.date}", style="dim")
+            for check in examine(replace(patient, earlier=earlier), seen.append, _words):
+                checks.append(check)
+                if bench.trace is not None:
+                    bench.trace.event("check", **check.to_json())
+                _show(console, check)
     passed = all(check.passed for check in checks)
     now = datetime.now(UTC)
     path = CERTIFICATES / f"{re.sub('[^a-z0-9]+', '-', bench.config.name.lower()).strip('-')}.json"
     certified = passed and not no_motion
     if certified:
-        software = f"micromill {version('micromill')}"
         found = certify(bench.config.name, there.devices, there.settings, checks, seen[0] if seen else None,
-                        now=now, software=software)  # fmt: skip
+                        now=now, software=software())  # fmt: skip
         found.save(path)
     # The page beside a certificate is that of the examination it came from.
     report = path.with_suffix(".html") if certified else path.with_name(f"{path.stem}-examined.html")
@@ -85,7 +86,12 @@ def doctor(chosen: BenchChoice, json_file: Path | None, no_motion: bool, recerti
     console.print(f"[bold green]every check passed[/]{f', certificate: {path}' if certified else ''}", soft_wrap=True)
 
 
-def _patient(bench: Rig, chosen: BenchChoice, *, moving: bool) -> "Patient":
+def software() -> str:
+    """What a certificate says of this version."""
+    return f"micromill {version('micromill')}"
+
+
+def _patient(bench: Rig, chosen: BenchChoice, *, moving: bool, doing: Callable[[str], None]) -> "Patient":
     from doctor.check import Limits, Patient
     from vision.keypoints import TipFinder
 
@@ -108,8 +114,10 @@ def _patient(bench: Rig, chosen: BenchChoice, *, moving: bool) -> "Patient":
         speed_rpm=float(spindle.get("speed_rpm", 20_000.0)),
         limits=Limits(**limits),
         motion_port=str(motion.get("port", "")),
+        spindle_port=str(spindle.get("channel", "")),
         moving=moving,
         free_disk_mb=free_disk_mb,
+        doing=doing,
     )
 
 

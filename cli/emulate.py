@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cli.options import fault_option, seed_option, specimen_option
+from cli.options import fault_option, motion_option, seed_option, specimen_option
 from drivers.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -33,13 +33,7 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="Write the rig file here; without it, it is printed.",
 )
-@click.option(
-    "--motion",
-    type=click.Choice(["grbl", "tinyg", "bcap"]),
-    default="grbl",
-    show_default=True,
-    help="Make of the motion controller: a GRBL or a g2core board, or a DENSO robot over b-CAP.",
-)
+@motion_option
 @click.option(
     "--dialect",
     type=click.Choice(["gnea", "grblhal"]),

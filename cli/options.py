@@ -31,6 +31,13 @@ seed_option = click.option(
     show_default=True,
     help="Draws specimen and rig of the virtual bench.",
 )
+motion_option = click.option(
+    "--motion",
+    type=click.Choice(["grbl", "tinyg", "bcap"]),
+    default="grbl",
+    show_default=True,
+    help="Motion controller of the virtual bench: a GRBL or a g2core board, or a DENSO robot over b-CAP.",
+)
 fault_option = click.option(
     "--fault",
     "faults",
@@ -74,6 +81,7 @@ class BenchChoice:
     seed: int = 0
     faults: tuple[str, ...] = ()
     trace_file: Path | None = None
+    motion: str = "grbl"
 
     @property
     def drawn_from(self) -> int | None:
@@ -92,9 +100,13 @@ def on_a_bench(command: Callable[..., None]) -> Callable[..., None]:
         seed: int,
         faults: tuple[str, ...],
         trace_file: Path | None,
+        motion: str,
         **others: object,
     ) -> None:
-        command(BenchChoice(rig, emulate, specimen, seed, faults, trace_file), **others)
+        command(BenchChoice(rig, emulate, specimen, seed, faults, trace_file, motion), **others)
 
+    shown = (rig_option, emulate_option, specimen_option, seed_option, motion_option, fault_option, trace_option)
     # The last one added is the first that the help shows.
-    return rig_option(emulate_option(specimen_option(seed_option(fault_option(trace_option(with_choice))))))
+    for option in reversed(shown):
+        with_choice = option(with_choice)
+    return with_choice

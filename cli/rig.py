@@ -105,7 +105,7 @@ class WiredRig:
         if isinstance(table, TinyGMotion):
             return open_tinyg(table, self.clock, self.trace)
         if isinstance(table, BcapMotion):
-            return open_bcap(table, self.clock)
+            return open_bcap(table, self.clock, self.trace)
         self._controller = open_grbl(table, self.clock, self.trace)
         return self._controller
 
@@ -222,26 +222,27 @@ def _open_board(
         raise
 
 
-def open_bcap(table: BcapMotion, clock: Clock) -> MotionController:
-    """A DENSO robot at its address."""
-    from drivers.motion.bcap.driver import BcapController
+def open_bcap(table: BcapMotion, clock: Clock, trace: Trace | None = None) -> MotionController:
+    """A DENSO robot at its address, fed by a process of its own."""
+    from drivers.motion.bcap.fed import FedRobot
     from drivers.motion.interface import Travel
-    from drivers.motion.udp_line import open_udp
 
-    line = open_udp(table.host, table.port)
-    try:
-        return BcapController(
-            line,
-            clock,
-            origin_mm=table.origin_mm,
-            orientation_deg=table.orientation_deg,
-            travel=Travel(table.travel_low_mm, table.travel_high_mm),
-            max_feed_mm_per_s=table.max_feed_mm_s,
-            reply_s=table.reply_s,
-        )
-    except BaseException:
-        line.close()
-        raise
+    def noted(time_s: float, kind: str, datagram: bytes) -> None:
+        assert trace is not None
+        number, _ = trace.mark()
+        trace.note((number, trace.seconds(time_s)), "motion", kind, datagram.decode("latin-1"))
+
+    return FedRobot(
+        table.host,
+        table.port,
+        clock,
+        origin_mm=table.origin_mm,
+        orientation_deg=table.orientation_deg,
+        travel=Travel(table.travel_low_mm, table.travel_high_mm),
+        max_feed_mm_per_s=table.max_feed_mm_s,
+        reply_s=table.reply_s,
+        noted=None if trace is None else noted,
+    )
 
 
 def _serial_line(
@@ -339,6 +340,8 @@ def rig_for(chosen: BenchChoice, *, plants: Collection[str] = ()) -> Iterator[Ri
     if chosen.rig_file is not None:
         if chosen.specimen is not None:
             raise click.UsageError("--specimen belongs to --emulate; with --rig the specimen is what lies on the bench")
+        if chosen.motion != "grbl":
+            raise click.UsageError("--motion belongs to --emulate; with --rig the rig file names the controller")
         if chosen.faults:
             raise click.UsageError("--fault belongs to --emulate or `mill emulate`; no fault is planted on a rig")
         with _traced(WiredRig(load_rig(chosen.rig_file), SystemClock()), chosen) as rig:
@@ -348,7 +351,7 @@ def rig_for(chosen: BenchChoice, *, plants: Collection[str] = ()) -> Iterator[Ri
     if others := [fault for fault in own if fault.name.partition(".")[0] not in plants]:
         raise click.UsageError(f"--fault {others[0]}: belongs to `mill run --emulate`, which mills")
     with (
-        _served_bench(chosen.specimen, chosen.seed, [str(fault) for fault in planted]) as served,
+        _served_bench(chosen, [str(fault) for fault in planted]) as served,
         _traced(served, chosen) as rig,
     ):
         yield rig
@@ -372,13 +375,15 @@ def _traced(rig: WiredRig, chosen: BenchChoice) -> Iterator[WiredRig]:
 
 
 @contextlib.contextmanager
-def _served_bench(specimen: Path | None, seed: int, faults: Sequence[str]) -> Iterator[WiredRig]:
+def _served_bench(chosen: BenchChoice, faults: Sequence[str]) -> Iterator[WiredRig]:
     """Start `mill emulate` as its own process, on ptys and ports, for as long as the with-statement."""
+    specimen = chosen.specimen
     if specimen is not None and not specimen.is_file():
         raise ConfigError(f"{specimen}: no such specimen file; docs/specimen.md says how to write one")
     with tempfile.TemporaryDirectory(prefix="mill-bench-") as folder:
         rig_file, truth_file, log_file = (Path(folder) / name for name in ("rig.toml", "truth.json", "log.txt"))
-        command = [sys.executable, "-m", "cli.main", "emulate", "--seed", str(seed), "--until-stdin-closes"]
+        command = [sys.executable, "-m", "cli.main", "emulate", "--seed", str(chosen.seed), "--until-stdin-closes"]
+        command += ["--motion", chosen.motion]
         command += ["--rig-out", str(rig_file), "--truth-out", str(truth_file)]
         command += ["--specimen", str(specimen)] if specimen else []
         command += [word for fault in faults for word in ("--fault", fault)]

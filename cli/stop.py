@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from cli.config import GrblSpindleTable, RigConfig
-from cli.options import BenchChoice, rig_option
+from cli.options import BenchChoice, rig_option, trace_option
 from cli.rig import Rig, rig_for
 from drivers.clock import Clock
 from drivers.errors import DeviceError, MillError
@@ -25,7 +25,8 @@ KILL_S = 1.0
 
 @click.command()
 @rig_option
-def stop(rig: Path | None) -> None:
+@trace_option
+def stop(rig: Path | None, trace_file: Path | None) -> None:
     """Stop motion and spindle of a rig, whoever runs it.
 
     A mill command that owns the devices is asked to lift and stop, and killed if it does not within 2 s. Then, or when
@@ -36,7 +37,7 @@ def stop(rig: Path | None) -> None:
         raise click.UsageError("--rig FILE is needed: it names the devices to stop")
     ways = {"motion": _stop_motion, "spindle": _stop_spindle}
     failures = []
-    with rig_for(BenchChoice(rig)) as bench:
+    with rig_for(BenchChoice(rig, trace_file=trace_file)) as bench:
         if isinstance(bench.config.spindle, GrblSpindleTable):
             # One wire: the reset that stops the motion stops the drill.
             ways = {"motion": _stop_motion}

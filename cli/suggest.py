@@ -63,13 +63,24 @@ def rig_suggestion(found: Sequence["FoundDevice"], who: Mapping[str, "Identified
 
 
 def _motion(motion: Sequence["FoundDevice"], who: Mapping[str, "Identified"]) -> Iterable[str]:
-    yield 'backend = "grbl"'
+    make = who[motion[0].path].make if motion else "grbl"
+    yield f'backend = "{make}"'
     yield f"# {_about(motion[0], who) if motion else _ABSENT}"
-    yield f"port = {_text(motion[0].name if motion else '/dev/mill-motion')}"
-    if motion and (firmware := who[motion[0].path].firmware):
-        yield f"firmware = {_text(firmware)}"
-    yield "# could not be known: machine coordinates of the origin of {R}; with zeros {R} is the machine's own frame"
-    yield "origin_mm = [0.0, 0.0, 0.0]"
+    if make == "bcap":
+        host, _, port = motion[0].path.rpartition(":")
+        yield f"host = {_text(host)}"
+        yield f"port = {port}"
+        yield "# could not be known: where {R} is in the robot's frame, how the tool stands, the box it may move in"
+        yield "origin_mm = [0.0, 0.0, 0.0]"
+        yield "orientation_deg = [180.0, 0.0, 180.0]"
+        yield "travel_low_mm = [-10.0, -30.0, -8.0]"
+        yield "travel_high_mm = [24.0, 9.0, 19.0]"
+    else:
+        yield f"port = {_text(motion[0].name if motion else '/dev/mill-motion')}"
+        if motion and (firmware := who[motion[0].path].firmware):
+            yield f"firmware = {_text(firmware)}"
+        yield "# could not be known: machine coordinates of {R}'s origin; with zeros {R} is the machine's own frame"
+        yield "origin_mm = [0.0, 0.0, 0.0]"
     yield from _others(motion[1:], who)
 
 

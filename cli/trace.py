@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from drivers.trace_file import Entry, TraceLog
 
 ARROWS = {"out": "->", "in": "<-"}
+SOH = "\x01"
+"""What every datagram of a robot begins with, and no line of a board."""
 span_options = (
     click.option("--from", "from_s", type=float, default=0.0, metavar="S", help="Seconds of the trace to begin with."),
     click.option(
@@ -37,7 +39,8 @@ def trace() -> None:
 def show(file: Path, wire: str | None, from_s: float, to_s: float, pattern: str | None) -> None:
     """Show a trace as lines: seconds, wire, direction, bytes as text, or a CAN frame and what it means.
 
-    -> is what the program wrote, <- what came back; bytes of a serial wire are put together to lines.
+    -> is what the program wrote, <- what came back; bytes of a serial wire are put together to lines, and datagrams of
+    a robot are told in words.
     """
     try:
         wanted = re.compile(pattern or "")
@@ -111,7 +114,7 @@ def words(entry: "Entry") -> str:
     if entry.kind in ARROWS and entry.wire == "spindle":
         return f"{arrow} {frame_words(entry.data)}"
     if entry.kind in ARROWS and isinstance(entry.data, str):
-        return f"{arrow} {escaped(entry.data)}"
+        return f"{arrow} {_datagram_words(entry) or escaped(entry.data)}"
     if entry.kind in ARROWS:
         return f"{arrow} picture, {1000 * (entry.t_s - entry.data['exposed_s']):.1f} ms after its exposure began"
     if entry.kind == "call":
@@ -134,6 +137,13 @@ def frame_words(text: str) -> str:
     return f"{text:<20}  {told}".rstrip()
 
 
+def _datagram_words(entry: "Entry") -> str | None:
+    """What a datagram to or from a robot says; None for what is none."""
+    from drivers.motion.bcap.words import meaning
+
+    return meaning(entry.data.encode("latin-1"), asked=entry.kind == "out") if entry.data[:1] == SOH else None
+
+
 def escaped(text: str) -> str:
     r"""Bytes as text: what cannot be seen is escaped, \n \r \x18, and a backslash is doubled."""
     return text.encode("unicode_escape").decode()
@@ -145,7 +155,7 @@ def _whole_lines(entries: "list[Entry]") -> "Iterator[Entry]":
 
     begun: Entry | None = None
     for entry in entries:
-        if not (entry.wire == "motion" and entry.kind == "in"):
+        if not (entry.wire == "motion" and entry.kind == "in") or (begun is None and _datagram_words(entry)):
             yield entry
             continue
         for piece in re.findall(r"[^\n]*\n|[^\n]+", entry.data):

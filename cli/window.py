@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.calibrate import calibrate_rig, calibration_path, rig_identity
-from cli.doctor import CERTIFICATES
+from cli.doctor import CERTIFICATES, software
 from cli.emulate import hogged, recorded, sorted_faults, spoiled
 from cli.live import page_for, shown
 from cli.log import Logged, logged
@@ -113,7 +113,8 @@ def mill_window(asked: Window) -> None:
             certified = bench.config.certificate
             if certified.required and not chosen.emulate:
                 devices = (motion.identity, spindle.identity, camera.identity)
-                require(CERTIFICATES, devices, motion.settings, max_age_h=certified.max_age_h, now=age["now"])
+                require(CERTIFICATES, devices, motion.settings, software=software(),
+                        max_age_h=certified.max_age_h, now=age["now"])  # fmt: skip
             if known is None:
                 console.print("homing")
                 motion.home()

@@ -11,6 +11,8 @@ PAIRS = 60
 SKEW_MS = 5.0
 JITTER_SHARE = 0.5
 DROPPED_SHARE = 0.1
+SHARP = 0.6
+"""Of the detail, against the certificate."""
 CHANGED = 0.25
 """Of the brightness, against the certificate: another exposure, another lamp."""
 
@@ -23,6 +25,7 @@ def examine(patient: Patient) -> Iterator[Check]:
         if earlier is not None:
             same = camera.identity == earlier.camera
             yield Check("camera: cameras as certified", camera.identity, "", earlier.camera, same)
+        patient.doing("looking")
         camera.capture()
         ages_ms, stamps, skews_ms, light = [], [], [], []
         for _ in range(PAIRS):
@@ -62,5 +65,10 @@ def _picture(patient: Patient, side: str, image: npt.NDArray[np.uint8], light: l
     yield at_least(f"camera: {side} detail", detail, 0.5, "dn", "out of focus, or the lens is covered")
     if patient.earlier is not None and (before := patient.earlier.figures.get(f"camera: {side} brightness")):
         change = abs(mean / before - 1.0) * 100.0
+        detail_before = patient.earlier.figures.get(f"camera: {side} detail")
+        if detail_before:
+            left_percent = 100.0 * detail / detail_before
+            advice = "out of focus, or the lens is dirty; focus it, and calibrate anew"
+            yield at_least(f"camera: {side} focus as certified", left_percent, 100.0 * SHARP, "%", advice)
         advice = "another exposure or lamp than when it was certified; set it back, or calibrate and --recertify"
         yield at_most(f"camera: {side} exposure as certified", change, 100.0 * CHANGED, "%", advice)

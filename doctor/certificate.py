@@ -99,9 +99,15 @@ def certify(
 
 
 def require(
-    folder: Path, devices: tuple[str, str, str], settings: Mapping[str, float], *, max_age_h: float, now: datetime
+    folder: Path,
+    devices: tuple[str, str, str],
+    settings: Mapping[str, float],
+    *,
+    software: str,
+    max_age_h: float,
+    now: datetime,
 ) -> Certificate:
-    """The newest certificate of exactly these devices, set as they were.
+    """The newest certificate of exactly these devices, set as they were, by this version.
 
     Raises:
         ConfigError: there is none, it is too old, or what has changed since.
@@ -119,6 +125,8 @@ def require(
     if names:
         changes = ", ".join(f"{name} {newest.settings.get(name)} -> {settings.get(name)}" for name in names)
         raise ConfigError(f"{folder}: settings have changed since the certificate ({changes}); {_NEXT} again")
+    if newest.software != software:
+        raise ConfigError(f"{folder}: the certificate is by {newest.software}, this is {software}; {_NEXT} again")
     if newest.age_h(now) > max_age_h:
         raise ConfigError(
             f"{folder}: the certificate is {newest.age_h(now):.0f} h old, allowed {max_age_h:g} h "

@@ -78,11 +78,14 @@ class Patient:
     speed_rpm: float
     limits: Limits = field(default_factory=Limits)
     motion_port: str = ""
+    spindle_port: str = ""
     earlier: "Certificate | None" = None
     """Of the same devices, when they were well."""
     moving: bool = True
     free_disk_mb: Callable[[], float] = lambda: float("inf")
     """Room where records go."""
+    doing: Callable[[str], None] = lambda _words: None
+    """Told what is under way where that takes a while."""
 
 
 def at_most(name: str, value: float, limit: float, unit: str, advice: str = "") -> Check:

@@ -1,5 +1,6 @@
 """The motion controller by itself: who it is, how it is set, how fast it answers, how soon it stops."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,7 +13,11 @@ ROUND_TRIPS = 100
 MEDIAN_MS = 12.0
 """A USB adapter that hands bytes on at once takes 4 to 8; one that waits for 16 ms takes that in addition."""
 TEST_MM, TEST_FEED_MM_S = 4.0, 5.0
-BEYOND_MM = 0.5
+BEYOND_MM = 0.01
+LONGEST_LINE = 80
+"""Bytes; a line of mill's is shorter."""
+RESTARTED_S = 1.5
+"""A board that was reset speaks again by then."""
 TINY_MM, TINY_MOVES = 0.02, 40
 OFF_MM = 0.02
 _LATENCY = "set the adapter's latency timer to 1 ms (udev/README.md), and take it off a busy hub"
@@ -25,6 +30,10 @@ def examine(patient: Patient) -> Iterator[Check]:
         yield Check("motion: identity", motion.identity, "", "answers, settings as in the rig file", True)
         yield from _against_certificate(patient, motion)
         yield from _adapter(patient.motion_port)
+        if motion.buffer_bytes is not None:
+            yield at_least(
+                "motion: serial buffer", float(motion.buffer_bytes), LONGEST_LINE, "bytes", "another firmware"
+            )
         trips_ms = []
         for _ in range(ROUND_TRIPS):
             asked_s = clock.now_s()
@@ -35,6 +44,7 @@ def examine(patient: Patient) -> Iterator[Check]:
         yield at_most("motion: serial round trip, p99", percentile(trips_ms, 0.99), limit_ms, "ms", _LATENCY)
         if not patient.moving:
             return
+        patient.doing("homing")
         motion.home()
         home_mm = motion.status().position_mm
         yield Check("motion: homes", f"x {home_mm[0]:.3f} y {home_mm[1]:.3f} z {home_mm[2]:.3f}", "mm", "idle", True)
@@ -42,8 +52,9 @@ def examine(patient: Patient) -> Iterator[Check]:
         motion.start_move(patient.park_mm, feed_mm_per_s=2 * TEST_FEED_MM_S)
         motion.wait_until_idle(timeout_s=60.0)
         yield _line_rate(motion, patient.park_mm, clock)
+        patient.doing("stopping in motion")
         yield from _hold(motion, patient)
-        yield _halt(motion, patient)
+        yield from _halt(motion, patient)
 
 
 def _against_certificate(patient: Patient, motion: MotionController) -> Iterator[Check]:
@@ -136,19 +147,29 @@ def _standstill(motion: MotionController, clock: Clock) -> tuple[float, Vector]:
     return deadline_s, before.position_mm
 
 
-def _halt(motion: MotionController, patient: Patient) -> Check:
-    """An emergency stop in motion must latch: nothing may move before homing."""
+def _halt(motion: MotionController, patient: Patient) -> Iterator[Check]:
+    """An emergency stop in motion: how far it still ran, and that nothing moves again before homing."""
     x, y, z = patient.park_mm
     motion.start_move((x - TEST_MM, y, z), feed_mm_per_s=TEST_FEED_MM_S)
-    patient.clock.sleep_s(0.2)
+    patient.clock.sleep_s(0.3)
+    before = motion.status()
+    asked_s = patient.clock.now_s()
     motion.halt()
     refused = False
     try:
         motion.start_move(patient.park_mm, feed_mm_per_s=TEST_FEED_MM_S)
     except (DeviceFaultError, NotHomedError):
         refused = True
+    patient.clock.sleep_s(RESTARTED_S)
+    after = motion.status()
+    if after.time_s > asked_s:
+        # What it ran after the report before, at the speed it had, less what it ran before it was asked.
+        ran_s = math.dist(before.position_mm, after.position_mm) / TEST_FEED_MM_S - (asked_s - before.time_s)
+        yield at_most("motion: halt to standstill", 1e3 * max(0.0, ran_s), patient.limits.hold_ms, "ms")
     try:
         motion.home()
     except DeviceError as error:
-        return Check("motion: emergency stop latches", f"homing failed afterwards: {error}", "", "until homed", False)
-    return Check("motion: emergency stop latches", "yes" if refused else "NO", "", "until homed", refused)
+        refused, found = False, f"homing failed afterwards: {error}"
+    else:
+        found = "yes" if refused else "NO"
+    yield Check("motion: emergency stop latches", found, "", "until homed", refused)

@@ -35,6 +35,7 @@ _MEANT = "if the change was meant, calibrate, and run `mill doctor --recertify`"
 def examine(patient: Patient, keep: Callable[[Calibration], None]) -> Iterator[Check]:
     """The drill visits the setpoints of a calibration, which ``keep`` receives, and one of them again and again."""
     with patient.open_motion() as motion, patient.open_camera() as camera:
+        patient.doing("moving the drill before the cameras (most of a minute)")
         motion.home()
         motion.start_move(patient.park_mm, feed_mm_per_s=FEED_MM_S)
         motion.wait_until_idle(timeout_s=60.0)
@@ -51,8 +52,10 @@ def examine(patient: Patient, keep: Callable[[Calibration], None]) -> Iterator[C
         keep(found)
         if patient.earlier is not None and patient.earlier.calibration is not None:
             yield from _against(patient, patient.earlier.calibration, found)
+        patient.doing("looking for play in the axes")
         eyes = _Eyes(patient, motion, camera, found)
         yield from _backlash(patient, eyes)
+        patient.doing("homing again")
         before = eyes.see(VERIFY_SETPOINT, RUN_UP_MM)
         motion.home()
         off = float(np.linalg.norm((eyes.see(VERIFY_SETPOINT, RUN_UP_MM) - before)[:2]))

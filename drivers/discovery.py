@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from drivers.lock import can_device, holders_of, owner_of
+from drivers.lock import can_device, holders_of, owner_of, udp_device
 
 _CAN_INTERFACE_TYPE = "280"
 _STABLE_PLACES = ("dev", "dev/serial/by-id", "dev/serial/by-path", "dev/v4l/by-id", "dev/v4l/by-path")
@@ -17,9 +17,9 @@ _STABLE_PLACES = ("dev", "dev/serial/by-id", "dev/serial/by-path", "dev/v4l/by-i
 class FoundDevice:
     """Something that a rig file could name."""
 
-    kind: Literal["serial", "can", "camera"]
+    kind: Literal["serial", "can", "camera", "robot"]
     path: str
-    """The device node, or the name of a CAN interface. It may change when the device is plugged in again."""
+    """The device node, a CAN interface, or a robot's HOST:PORT. It may change when the device is plugged in again."""
     stable_paths: tuple[str, ...]
     """Names that stay, ours first: what a rig file should use."""
     usb_id: str | None
@@ -47,10 +47,18 @@ class FoundDevice:
 
 
 def find_devices(
-    named_ports: Iterable[str] = (), named_cameras: Iterable[str] = (), *, root: Path = Path("/")
+    named_ports: Iterable[str] = (),
+    named_cameras: Iterable[str] = (),
+    named_robots: Iterable[tuple[str, int]] = (),
+    *,
+    root: Path = Path("/"),
 ) -> list[FoundDevice]:
-    """Everything found, and what was named: ports that no bus lists, such as ptys, and cameras with a URL."""
-    return [*_serial_ports(named_ports, root), *_can_interfaces(root), *_cameras(named_cameras, root)]
+    """Everything found, and what was named: ports that no bus lists, such as ptys, cameras with a URL, robots."""
+    robots = [
+        FoundDevice("robot", f"{host}:{port}", (), None, None, None, None, owner_of(udp_device(host, port)))
+        for host, port in named_robots
+    ]
+    return [*_serial_ports(named_ports, root), *_can_interfaces(root), *_cameras(named_cameras, root), *robots]
 
 
 def _serial_ports(named_ports: Iterable[str], root: Path) -> Iterator[FoundDevice]:

@@ -1,9 +1,10 @@
 """Who is at the other end of a wire, asked where asking is harmless: nothing moves, nothing is reset.
 
 A serial port is asked GRBL's ``?``, which any state answers (GRBL 1.1 interface document, "Real-time commands"), and
-``$I`` only where it stands; then LAWICEL's ``V`` and ``N`` (CANUSB manual). Never an end of line before a report has
-come: it would complete what a dead host left half said. On a CAN bus nothing is sent: a node is known by its heartbeat
-(CiA 301, 7.2.8.3.2).
+``$I`` only where it stands; then LAWICEL's ``V`` and ``N`` (CANUSB manual); then g2core's build (g2core wiki). Never
+an end of line before a report has come: it would complete what a dead host left half said. On a CAN bus nothing is
+sent: a node is known by its heartbeat (CiA 301, 7.2.8.3.2). A robot at an address is connected to and left again,
+without taking its arm.
 """
 
 import re
@@ -28,6 +29,8 @@ _AT_REST = {"Idle", "Alarm"}
 _NODE_IDS = range(1, 128)
 _VERSION = re.compile(rb"(V[0-9A-F]{4}|[ -~]*[Cc][Aa][Nn][ -~]*)\r")
 """LAWICEL's own answer, or the free text of others, such as CANable's."""
+_BUILD = re.compile(rb'"fb" ?: ?(\d+\.\d+)')
+_FOOTER = re.compile(rb'\{"r":\{.*\},"f":\[\d+,\d+,\d+\]\}\n')
 _SERIAL_NUMBER = re.compile(rb"N([0-9A-Za-z]{4})\r")
 
 
@@ -40,7 +43,9 @@ class Identified:
     words: str
     """For people: who it is, or that nobody answered."""
     firmware: str = ""
-    """GRBL's version as a rig file names it, "1.1h"."""
+    """The version or build as a rig file names it, "1.1h"."""
+    make: Literal["grbl", "tinyg", "bcap"] = "grbl"
+    """Of a motion controller: its backend in a rig file."""
     node_ids: tuple[int, ...] = ()
     """The nodes heard on a CAN bus."""
 
@@ -66,11 +71,11 @@ def identify_line(line: SerialLine, clock: Clock) -> Identified:
     heard = _heard(line, clock, ANSWER_S, lambda data: b">" in data or b"Grbl" in data)
     state = re.search(rb"<([A-Z][a-z]+)", heard)
     if state is None and b"grbl" not in heard.lower():
-        if adapter := _slcan(line, clock):
-            return adapter
+        if found := _slcan(line, clock) or _g2core(line, clock):
+            return found
         heard = _heard(line, clock, START_S, lambda data: b"help]" in data)
         if b"grbl" not in heard.lower():
-            return Identified(None, f"nobody answered at {BAUD} baud: neither GRBL nor an SLCAN adapter")
+            return Identified(None, f"nobody answered at {BAUD} baud: neither GRBL, g2core nor an SLCAN adapter")
     if state is not None and state[1].decode() not in _AT_REST:
         return Identified("motion", f"GRBL, busy ({state[1].decode()})")
     line.write(b"$I\n")
@@ -82,6 +87,27 @@ def identify_line(line: SerialLine, clock: Clock) -> Identified:
         return Identified("motion", f"GRBL, but {error}")
     version = re.match(r"\d+\.\d+\w?", info.version)
     return Identified("motion", info.identity, firmware=version[0] if version else "")
+
+
+def identify_robot(address: str, clock: Clock) -> Identified:
+    """Ask a DENSO controller at HOST:PORT, which nobody speaks to, for its version."""
+    from drivers.motion.bcap.robot import VERSION, Robot
+    from drivers.motion.bcap.session import BcapSession
+    from drivers.motion.udp_line import open_udp
+
+    host, _, port = address.rpartition(":")
+    try:
+        session = BcapSession(open_udp(host, int(port)), clock)
+        try:
+            robot = Robot(session)
+            robot.connect()
+            version = str(robot.read(VERSION))
+            robot.disconnect()
+        finally:
+            session.close()
+    except DeviceError as error:
+        return Identified(None, str(error))
+    return Identified("motion", f"DENSO b-CAP {version}", make="bcap")
 
 
 def identify_can(channel: str, clock: Clock, *, listen_s: float = 2.0) -> Identified:
@@ -114,6 +140,18 @@ def _slcan(line: SerialLine, clock: Clock) -> Identified | None:
     number = _SERIAL_NUMBER.search(_heard(line, clock, ANSWER_S, lambda data: bool(_SERIAL_NUMBER.search(data))))
     words = f"SLCAN adapter {version[1].decode('ascii', 'replace')}"
     return Identified("spindle", f"{words}, serial number {number[1].decode()}" if number else words)
+
+
+def _g2core(line: SerialLine, clock: Clock) -> Identified | None:
+    """Known by the footer of its replies; what stands in them depends on how it is set, which is not changed here."""
+    line.write(b'{"fb":null}\n')
+    # Replies to the questions before may still come.
+    said = _heard(line, clock, ANSWER_S, lambda data: bool(_BUILD.search(data)))
+    if not _FOOTER.search(said):
+        return None
+    if (build := _BUILD.search(said)) is None:
+        return Identified("motion", "g2core or TinyG, set to tell its build only when it is opened", make="tinyg")
+    return Identified("motion", f"g2core {build[1].decode()}", firmware=build[1].decode(), make="tinyg")
 
 
 def _heard(line: SerialLine, clock: Clock, wait_s: float, whole: Callable[[bytes], bool]) -> bytes:

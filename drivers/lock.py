@@ -38,9 +38,29 @@ class DeviceLock:
             raise DeviceBusyError(
                 f"{device}: in use by {owner} (lock file {path}); stop that process, or wait until it ends"
             ) from None
+        self.sign(_command())
+
+    @classmethod
+    def inherited(cls, fd: int) -> "DeviceLock":
+        """The lock that the process which started this one has taken, held for as long as either has it open."""
+        lock = cls.__new__(cls)
+        lock._fd = fd
+        return lock
+
+    def fileno(self) -> int:
+        """The open lock file, to be handed to a process started by this one."""
+        return self._fd
+
+    def sign(self, command: str) -> None:
+        """Write down that this process holds it, and what it is doing."""
         os.ftruncate(self._fd, 0)
         pid = os.getpid()
-        os.pwrite(self._fd, f"pid {pid} ({_command()})\nstarted {_stat(pid)[_START_TIME]}\n".encode(), 0)
+        os.pwrite(self._fd, f"pid {pid} ({command})\nstarted {_stat(pid)[_START_TIME]}\n".encode(), 0)
+
+    def hand_over(self) -> None:
+        """Leave it to the process that has inherited it; what is written there stays."""
+        os.close(self._fd)
+        self._fd = -1
 
     def release(self) -> None:
         """Let go; a second call does nothing."""

@@ -25,6 +25,11 @@ class TracedMotion(MotionController):
         return self._motion.settings
 
     @property
+    def buffer_bytes(self) -> int | None:
+        """The controller's."""
+        return self._motion.buffer_bytes
+
+    @property
     def travel(self) -> Travel:
         """The controller's."""
         return self._motion.travel
@@ -117,6 +122,31 @@ class TracedSpindle(Spindle):
         """Write down, for it reads the wire, and count."""
         with self._trace.call("spindle", "answers"):
             return self._spindle.answers
+
+    @property
+    def feels_load(self) -> bool:
+        """The spindle's."""
+        return self._spindle.feels_load
+
+    @property
+    def errors_on_wire(self) -> int | None:
+        """The spindle's."""
+        return self._spindle.errors_on_wire
+
+    def heartbeats_s(self, duration_s: float) -> list[float]:
+        """Write down and listen."""
+        with self._trace.call("spindle", "heartbeats_s", duration_s=duration_s):
+            return self._spindle.heartbeats_s(duration_s)
+
+    def speed_unheard_rpm(self) -> float | None:
+        """Write down and ask."""
+        with self._trace.call("spindle", "speed_unheard_rpm"):
+            return self._spindle.speed_unheard_rpm()
+
+    def reset_fault(self) -> None:
+        """Write down and acknowledge."""
+        with self._trace.call("spindle", "reset_fault"):
+            self._spindle.reset_fault()
 
     def past_faults(self) -> list[str]:
         """Write down and ask."""

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from calib import procedure
 from calib.calibration_file import Calibration
@@ -34,6 +34,7 @@ from firmware_sim.bench import (
     ROBOT_TRAVEL_HIGH_MM,
     ROBOT_TRAVEL_LOW_MM,
     Bench,
+    MotionMake,
     open_in_process,
 )
 from firmware_sim.clock import SimClock
@@ -151,14 +152,14 @@ def networks(_clock: SimClock) -> loop.Finders:
     return loop.Finders(TipFinder.load().find, LandmarkFinder.load().find, CompletionReader.load(), match)
 
 
-def mill_one(seed: int, folder: Path) -> dict[str, Any]:
+def mill_one(seed: int, folder: Path, motion: MotionMake = "grbl") -> dict[str, Any]:
     """Calibrate and mill the specimen of ``seed``; figures as ``mill run --json`` gives them, truth included."""
 
     def recorder(clock: SimClock) -> RunRecorder:
         return RunRecorder(folder / f"run-{seed}", {"seed": seed, "clock": "virtual"}, clock)
 
-    ended = mill(Bench(draw_specimen(seed)), recorder, job=Job(), finders=networks)
-    return {"schema": 1, "command": "virtual run", "seed": seed, **ended.to_json()}
+    ended = mill(Bench(draw_specimen(seed), motion=motion), recorder, job=Job(), finders=networks)
+    return {"schema": 1, "command": "virtual run", "seed": seed, "motion": motion, **ended.to_json()}
 
 
 def seeds_of(text: str) -> list[int]:
@@ -175,12 +176,13 @@ def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=seeds_of, required=True, help="such as 0-9 or 0,3,7")
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--motion", choices=get_args(MotionMake), default="grbl", help="make of the motion controller")
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args(words)
     given.out.mkdir(parents=True, exist_ok=True)
     missing = [seed for seed in given.seeds if not (given.out / f"run-{seed}.json").exists()]
     with ProcessPoolExecutor(given.workers, max_tasks_per_child=1) as pool:
-        runs = {pool.submit(mill_one, seed, given.out): seed for seed in missing}
+        runs = {pool.submit(mill_one, seed, given.out, given.motion): seed for seed in missing}
         for done, run in enumerate(as_completed(runs), start=1):
             figures, file = run.result(), given.out / f"run-{runs[run]}.json"
             file.write_text(json.dumps(figures), encoding="utf-8")

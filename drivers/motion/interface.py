@@ -71,6 +71,11 @@ class MotionController(Device):
         return {}
 
     @property
+    def buffer_bytes(self) -> int | None:
+        """Of the controller's serial port; None where it does not tell."""
+        return None
+
+    @property
     @abstractmethod
     def travel(self) -> Travel:
         """The travel in {R}, after soft limits and floor."""

@@ -24,6 +24,15 @@ class UdpLine:
         """The peer's address."""
         return self._name
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether it was given back."""
+        return not self._open
+
+    def fileno(self) -> int:
+        """For select."""
+        return self._socket.fileno()
+
     def write(self, data: bytes) -> None:
         """Send one datagram; one that the system has no room for is lost, as any datagram may be."""
         self._require_open()
@@ -74,15 +83,27 @@ def open_udp(host: str, port: int) -> UdpLine:
         DeviceBusyError: another process, which the message names, speaks to that peer.
     """
     lock = DeviceLock(udp_device(host, port))
+    try:
+        return UdpLine(host, port, connected(host, port), lock)
+    except BaseException:
+        lock.release()
+        raise
+
+
+def connected(host: str, port: int) -> socket.socket:
+    """A socket that hears one peer only, and never waits.
+
+    Raises:
+        ConnectionLostError: no such host, or no way to it.
+    """
     opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         opened.setblocking(False)
         opened.connect((host, port))
     except OSError as error:
         opened.close()
-        lock.release()
         reason = os.strerror(error.errno) if error.errno and error.errno > 0 else error
         raise ConnectionLostError(
             f"udp:{host}:{port}: cannot be reached ({reason}); correct [motion] host and port, or look at the network"
         ) from error
-    return UdpLine(host, port, opened, lock)
+    return opened

@@ -5,8 +5,10 @@ bus error and nobody notices. Frames are read here while somebody waits for some
 bucket: a lone one is forgiven, a run of them is a lost wire.
 """
 
+import logging
 import struct
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
@@ -32,6 +34,9 @@ HEARTBEAT_ID = 0x700
 
 _Result = TypeVar("_Result")
 
+# What it would print about a lost answer is told here by errors, and a lone one is asked for again.
+logging.getLogger("canopen").addHandler(logging.NullHandler())
+
 _SDO_LIMIT_S = 0.5
 _SDO_TRIES = 3
 """A bus that loses a frame now and then is for `mill doctor` to tell of, and no reason not to open; an object may be
@@ -41,6 +46,7 @@ _SLICE_S = 0.01
 """The longest single wait for a frame, so that what falls due in the meantime is done."""
 
 _MOST_FRAMES_AT_ONCE = 10_000
+_BEATS_KEPT = 64
 
 _BUCKET_IN = 2
 _BUCKET_OUT = 1
@@ -101,6 +107,10 @@ class CanOpenNode:
         """The data of the newest TPDO1."""
         self.reports = 0
         self.heard_at_s: float | None = None
+        self.beats_s: deque[float] = deque(maxlen=_BEATS_KEPT)
+        """When the newest heartbeats came."""
+        self.errors = 0
+        """Frames refused, of a wrong length or told as errors, since opening."""
         self._bus = bus
         self._clock = clock
         self._writing = threading.Lock()
@@ -325,6 +335,7 @@ class CanOpenNode:
         self._network.notify(can_id, data, self._clock.now_s())
 
     def _spill(self, what: str) -> None:
+        self.errors += 1
         self._bucket += _BUCKET_IN
         if self._bucket >= _BUCKET_FULL:
             raise self._lose(
@@ -338,6 +349,7 @@ class CanOpenNode:
 
     def _on_heartbeat(self, state: int) -> None:
         self.nmt_state = state
+        self.beats_s.append(self._clock.now_s())
         if state == 0:
             self.boot_ups += 1
 

@@ -126,6 +126,23 @@ class Cia402Spindle(Spindle):
         self._node.pump()
         return self._asked, self._node.reports
 
+    @property
+    def errors_on_wire(self) -> int:
+        """Frames that the adapter refused, error frames, and frames of a wrong length."""
+        return self._node.errors
+
+    def heartbeats_s(self, duration_s: float) -> list[float]:
+        """The drive's heartbeats as they come."""
+        self._node.pump()
+        self._node.beats_s.clear()
+        self._node.wait(lambda: False, duration_s)
+        return list(self._node.beats_s)
+
+    def speed_unheard_rpm(self) -> float:
+        """SYNC is no sign of life: only the host's heartbeat is."""
+        self._beating = False
+        return float(self._ask()[0])
+
     def past_faults(self) -> list[str]:
         """Object 1003h, the pre-defined error field (CiA 301)."""
         count = self._node.read_if_present(ERROR_COUNT) or 0

@@ -80,6 +80,22 @@ class Spindle(Device):
         """For a supervisor; None where the drive says nothing unasked, or no other process can read its wire."""
         return None
 
+    @property
+    def errors_on_wire(self) -> int | None:
+        """Frames refused, broken or told as errors since opening; None where nothing counts them."""
+        return None
+
+    def heartbeats_s(self, duration_s: float) -> list[float]:
+        """Listen for so long at most: when each sign of life of the drive's own came; empty where it gives none."""
+        return []
+
+    def speed_unheard_rpm(self) -> float | None:
+        """The speed, asked for without a sign of life; None where every question is one.
+
+        For whoever measures how soon the drive stops by itself when its host falls silent, and for nobody else.
+        """
+        return None
+
     def past_faults(self) -> list[str]:
         """The drive's own history of errors in words, newest first; empty where it keeps none."""
         return []

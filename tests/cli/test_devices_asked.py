@@ -173,6 +173,14 @@ BENCHES: dict[str, tuple[list[FoundDevice], dict[str, Identified]]] = {
             "can1": Identified(None, "no heartbeat within 2 s"),
         },
     ),
+    "a g2core board": (
+        [device("serial", "/dev/ttyACM0")],
+        {"/dev/ttyACM0": Identified("motion", "g2core 101.03", firmware="101.03", make="tinyg")},
+    ),
+    "a robot": (
+        [FoundDevice("robot", "192.168.0.1:5007", (), None, None, None, None, None)],
+        {"192.168.0.1:5007": Identified("motion", "DENSO b-CAP 2.12", make="bcap")},
+    ),
     "strange names": ([device("serial", '/dev/a"b\\c'), device("camera", "http://x/l")], {'/dev/a"b\\c': GRBL}),
 }
 
@@ -185,7 +193,20 @@ def test_whatever_is_found_the_rig_file_can_be_read(
     path.write_text(rig_suggestion(*plugged))
     load_rig(path)
     for found in plugged[0]:
+        if found.kind == "robot":
+            continue
         assert found.name in path.read_text().replace("\\\\", "\\").replace('\\"', '"')
+
+
+def test_the_make_that_answered_is_the_backend(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    for name, backend in (("a g2core board", "tinyg"), ("a robot", "bcap"), ("one of each", "grbl")):
+        path.write_text(rig_suggestion(*BENCHES[name]))
+        motion = load_rig(path).motion.model_dump()
+        assert motion["backend"] == backend
+    path.write_text(rig_suggestion(*BENCHES["a robot"]))
+    robot = load_rig(path).motion.model_dump()
+    assert (robot["host"], robot["port"]) == ("192.168.0.1", 5007)
 
 
 def test_what_is_known_is_used_and_the_rest_is_said(tmp_path: Path) -> None:

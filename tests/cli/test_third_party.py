@@ -161,6 +161,7 @@ def call(environment: dict[str, str], folder: Path, *words: str) -> subprocess.C
         ("calibrate", ["--verify", "--out", "cal.toml"], 2, "another rig.*Example stage", {"motion", "spindle"}),
         ("run", ["--calibration", "cal.toml"], 2, "another rig.*Example stage 1.0 S7", {"motion", "spindle"}),
         ("resume", ["begun"], 2, "another rig.*Example stage 1.0 S7", {"motion", "spindle"}),
+        ("support-bundle", ["--out", "bundle.zip"], 0, r"in +rig\.toml", set()),
         ("dataset", ["collect", "--out", "set", "--pairs", "1"], 0, "", {"motion", "spindle"}),
     ],
 )

@@ -5,13 +5,17 @@ virtual time: nothing depends on how soon a process is run.
 """
 
 import contextlib
+import select
+import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 
 from motion_benches import MAX_FEED_MM_PER_S, Axes, Language, MotionBench, TappedLine, Wire
-from real_time import in_second_thread
+from real_time import JOIN_S, in_second_thread, soon
 
+from drivers.clock import SystemClock
 from drivers.motion.bcap.driver import BcapController
+from drivers.motion.bcap.fed import FedRobot
 from drivers.motion.interface import MotionController, Travel
 from drivers.motion.transport import DatagramLine
 from drivers.motion.udp_line import UdpLine, open_udp
@@ -98,6 +102,80 @@ def udp_bcap_bench() -> Iterator[MotionBench]:
     ):
         bench.cut = port.close
         yield bench
+
+
+class UdpDevice:
+    """The controller behind a UDP port on a thread of its own.
+
+    Its time goes on with the machine's, but never by more than 2 ms between two looks at the wire: how late this
+    thread is run says nothing about whoever feeds it.
+    """
+
+    def __init__(self, board: RcController, wire: Wire) -> None:
+        self.board = board
+        self.lock = threading.Lock()
+        self.port = UdpPort()
+        self._wire = wire
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def close(self) -> None:
+        if not self._over.is_set():
+            self._over.set()
+            self._thread.join(JOIN_S)
+            self.port.close()
+
+    def _serve(self) -> None:
+        clock, time_s = SystemClock(), 0.0
+        before_s = clock.now_s()
+        while not self._over.is_set():
+            select.select([self.port], [], [], 0.001)
+            with self.lock:
+                while data := self.port.read():
+                    self._wire.hear(data)
+                    self.board.receive(data)
+                now_s = clock.now_s()
+                time_s += min(now_s - before_s, 0.002)
+                before_s = now_s
+                self.board.advance_to(time_s)
+                while said := self.board.transmit():
+                    self.port.write(said)
+
+
+@contextlib.contextmanager
+def fed_bcap_bench() -> Iterator[MotionBench]:
+    """The controller behind a UDP socket in real time, fed by a process of its own."""
+    clock, axes = SystemClock(), Axes()
+    wire = Wire(clock.now_s, BCAP)
+    device = UdpDevice(RcController(axes), wire)
+
+    def reopen() -> FedRobot:
+        return fed(device.port, clock)
+
+    def locked(action: Callable[..., None]) -> Callable[..., None]:
+        def act(*arguments: object) -> None:
+            with device.lock:
+                action(*arguments)
+
+        return act
+
+    with contextlib.closing(device), soon(0.1) as during_wait, contextlib.closing(reopen()) as controller:
+        inject, reset = locked(device.board.receive), locked(device.board.restart)
+        yield MotionBench(controller, clock, reopen, wire, axes, inject, reset, during_wait, device.close)
+
+
+def fed(port: UdpPort, clock: SystemClock) -> FedRobot:
+    return FedRobot(
+        port.host,
+        port.port,
+        clock,
+        origin_mm=ORIGIN_MM,
+        orientation_deg=ORIENTATION_DEG,
+        travel=TRAVEL,
+        max_feed_mm_per_s=MAX_FEED_MM_PER_S,
+        reply_s=0.1,
+    )
 
 
 @contextlib.contextmanager

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bcap_benches import in_process_bcap_bench, udp_bcap_bench
+from bcap_benches import fed_bcap_bench, in_process_bcap_bench, udp_bcap_bench
 from motion_benches import in_process_bench, pty_bench, rig_file_bench
 
 Implementation = Callable[[], AbstractContextManager[Any]]
@@ -26,7 +26,13 @@ GRBL: dict[str, Implementation] = {
     "pty-grblhal": partial(pty_bench, "grblhal"),
     "pty-tinyg": partial(pty_bench, "tinyg"),
 }
-BCAP: dict[str, Implementation] = {"in-process-bcap": in_process_bcap_bench, "udp-bcap": udp_bcap_bench}
+BCAP: dict[str, Implementation] = {
+    "in-process-bcap": in_process_bcap_bench,
+    "udp-bcap": udp_bcap_bench,
+    "fed-bcap": fed_bcap_bench,
+}
+LONG = {"fed-bcap"}
+"""In real time, with a process started for each test; tests/drivers/test_bcap_fed.py has what is its own."""
 EMULATED_MOTION = GRBL | BCAP
 
 IMPLEMENTATIONS: dict[str, dict[str, Implementation]] = {
@@ -47,7 +53,11 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
             makers = dict(implementations)
             if rig_file is not None and fixture in ON_HARDWARE:
                 makers["hardware"] = partial(ON_HARDWARE[fixture], rig_file)
-            metafunc.parametrize(fixture, makers.values(), ids=makers.keys(), indirect=True)
+            marked = [
+                pytest.param(maker, id=name, marks=[pytest.mark.long] if name in LONG else [])
+                for name, maker in makers.items()
+            ]
+            metafunc.parametrize(fixture, marked, indirect=True)
 
 
 @pytest.fixture

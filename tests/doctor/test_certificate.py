@@ -47,8 +47,8 @@ def test_an_edited_one_is_refused(tmp_path: Path) -> None:
         Certificate.load(path)
 
 
-def required(folder: Path, devices=DEVICES, settings=SETTINGS, age_h=1.0) -> Certificate:  # type: ignore[no-untyped-def]
-    return require(folder, devices, settings, max_age_h=24.0, now=NOW + timedelta(hours=age_h))
+def required(folder: Path, devices=DEVICES, settings=SETTINGS, age_h=1.0, software="micromill 1") -> Certificate:  # type: ignore[no-untyped-def]
+    return require(folder, devices, settings, software=software, max_age_h=24.0, now=NOW + timedelta(hours=age_h))
 
 
 def test_the_newest_of_these_devices_counts(tmp_path: Path) -> None:
@@ -66,6 +66,7 @@ def test_the_newest_of_these_devices_counts(tmp_path: Path) -> None:
         ({"devices": ("x", "y", DEVICES[2])}, "no certificate of these devices"),
         ({"settings": {**SETTINGS, "$100": 1010.0}}, r"\$100 1000\.0 -> 1010\.0"),
         ({"settings": {"$20": 1.0}}, r"\$100 1000\.0 -> None"),
+        ({"software": "micromill 2"}, r"by micromill 1, this is micromill 2"),
         ({"age_h": 25.0}, r"25 h old, allowed 24 h \(\[certificate\] max_age_h\)"),
     ],
 )

@@ -6,9 +6,7 @@ import pytest
 
 from doctor.certificate import Certificate
 from doctor.check import Check
-from studies.doctor_trials import NAMED, examined, named, summary
-
-BUSY = ("computer: wakes up late", "computer: write to disk")
+from studies.doctor_trials import BUSY, NAMED, examined, named, summary
 
 
 @pytest.fixture(scope="module")
@@ -57,12 +55,12 @@ def test_each_fault_is_found_by_name(well: tuple[list[Check], Certificate], faul
 
 def test_the_summary_counts_what_was_found_and_what_was_not() -> None:
     rows = [
-        {"seed": 0, "fault": "", "failed": []},
+        {"seed": 0, "fault": "", "failed": ["computer: wakes up late, p99: 60 ms"]},
         {"seed": 0, "fault": "again", "failed": ["motion: x"]},
         {"seed": 0, "fault": "disk.full", "failed": ["computer: free disk: 12 MB"]},
         {"seed": 1, "fault": "disk.full", "failed": []},
     ]
     figures = summary(rows)
-    assert figures["well"] == {"examinations": 2, "false_alarms": 1}
+    assert figures["well"] == {"examinations": 2, "false_alarms": 1, "computer_busy": 1}
     assert figures["false_alarms_told"] == ["motion: x"]
     assert figures["faults"] == {"disk.full": {"examinations": 2, "found": 1}}

@@ -24,6 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import can
+from fuzz_recorded import bcap_replies, g2core_answers, modbus_replies
+from pymodbus.framer.rtu import FramerRTU
 from sessions import HandClock, load
 
 from drivers.camera.multipart import PartReader
@@ -35,9 +37,14 @@ from drivers.errors import (
     DeviceTimeoutError,
     ProtocolError,
 )
+from drivers.motion.bcap.packet import decode
 from drivers.motion.grbl.protocol import Parser, parse_line
+from drivers.motion.tinyg import protocol as g2core
+from drivers.spindle import delta_registers
 from drivers.spindle.canbus import SlcanBus
 from drivers.spindle.canopen_node import CanOpenNode, Entry
+from drivers.spindle.modbus_wire import ModbusWire
+from drivers.trace_file import read_trace
 from milling.record import RunRecorder, read_run
 
 Feed = Callable[[bytes], Any]
@@ -137,14 +144,17 @@ class _FedLine:
 
     name, descriptor = "fuzzed:wire", None
 
-    def __init__(self) -> None:
+    def __init__(self, clock: HandClock | None = None) -> None:
         self.due = b""
+        self._clock = clock
 
     def write(self, data: bytes) -> None:
         pass
 
     def read(self, timeout_s: float) -> bytes:
         data, self.due = self.due, b""
+        if not data and self._clock is not None:
+            self._clock.sleep_s(timeout_s)
         return data
 
     def close(self) -> None:
@@ -275,12 +285,53 @@ def _record(place: Path) -> Feed:
     return feed
 
 
+def _modbus(_place: Path) -> Feed:
+    clock = HandClock()
+    line = _FedLine(clock)
+    wire = ModbusWire(line, clock, station=1, baud=115_200)
+
+    def feed(data: bytes) -> None:
+        if len(data) % 2:
+            # A checksum that fits lets what lies behind it have a look at the rest.
+            data = data[:-2] + FramerRTU.compute_CRC(data[:-2]).to_bytes(2, "big")
+        # What comes before a question is thrown away: the answer is there once it was asked.
+        line.write = lambda _frame: setattr(line, "due", data)  # type: ignore[method-assign]
+        registers = wire.read(delta_registers.REPORT, delta_registers.REPORT_LENGTH, 0.1)
+        assert all(0 <= register < 1 << 16 for register in registers)
+
+    return feed
+
+
+def _trace_files() -> Sequence[bytes]:
+    folder = Path(__file__).parents[1] / "traces"
+    return [b"".join(path.read_bytes().splitlines(keepends=True)[:12]) for path in sorted(folder.glob("*.jsonl"))]
+
+
+def _trace(place: Path) -> Feed:
+    path = place / "trace.jsonl"
+
+    def feed(data: bytes) -> None:
+        path.write_bytes(data)
+        assert isinstance(read_trace(path).header, dict)
+
+    return feed
+
+
 _OF_A_NODE = (ProtocolError, DeviceFaultError, DeviceTimeoutError, ConnectionLostError)
 
 TARGETS = (
     Target("GRBL lines", _grbl_lines, lambda _: lambda data: parse_line(data.decode("ascii", "backslashreplace"))),
     Target("GRBL stream", _grbl_answers, lambda _: Parser().feed, ()),
     Target("SLCAN", _slcan_answers, _slcan, (can.CanOperationError,)),
+    Target("b-CAP packets", bcap_replies, lambda _: decode),
+    Target("g2core stream", g2core_answers, lambda _: g2core.Parser().feed, ()),
+    Target(
+        "g2core lines",
+        g2core_answers,
+        lambda _: lambda data: g2core.parse_line(data.decode("ascii", "backslashreplace")),
+    ),
+    Target("Modbus", modbus_replies, _modbus, (ProtocolError, DeviceFaultError, DeviceTimeoutError)),
+    Target("trace", _trace_files, _trace, (ConfigError,)),
     Target("CANopen", _can_frames, _canopen, _OF_A_NODE),
     Target("multipart", _parts, lambda _: _multipart, (ProtocolError, ConnectionLostError)),
     Target("record", _records, _record, (ConfigError,)),

@@ -4,6 +4,7 @@ import pytest
 
 from drivers.errors import ProtocolError
 from drivers.motion.bcap.packet import MAX_BYTES, Packet, decode, encode
+from drivers.motion.bcap.words import meaning
 
 
 def packet(text: str) -> bytes:
@@ -130,3 +131,13 @@ def test_what_no_datagram_may_hold_is_refused() -> None:
         decode(bytes(MAX_BYTES + 1))
     with pytest.raises(ProtocolError, match="cannot be written"):
         encode(Packet(1, 0, 64, (2**31,)))
+
+
+def test_a_trace_tells_datagrams_in_words() -> None:
+    asked = encode(Packet(7, 5, 64, (513, "slvMove", (1.0, 2.0))))
+    assert meaning(asked, asked=True) == "7 again, first 5: ROBOT_EXECUTE 513, 'slvMove', (1.0000, 2.0000)"
+    assert meaning(encode(Packet(7, 0, 0, (True,))), asked=False) == "7: ok True"
+    assert meaning(encode(Packet(8, 0, 0x0F200501)), asked=False) == "8: set-point taken, buffer full"
+    refused = meaning(encode(Packet(9, 0, 0x83500121)), asked=False)
+    assert refused == "9: error 0x83500121 (not in slave mode)"
+    assert meaning(b"ok", asked=False) is None

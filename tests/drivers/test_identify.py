@@ -12,12 +12,17 @@ import can
 import pytest
 from grbl_wire import SETTINGS, Axes
 
-from drivers.identify import identify_bus, identify_line, identify_port
+from drivers.clock import SystemClock
+from drivers.identify import identify_bus, identify_line, identify_port, identify_robot
+from drivers.lock import owner_of, udp_device
+from firmware_sim.bcap_controller import RcController
 from firmware_sim.cia402_drive import Cia402Drive
 from firmware_sim.clock import SimClock
 from firmware_sim.grbl_board import GrblBoard
 from firmware_sim.lines import InProcessLine
 from firmware_sim.slcan_adapter import SlcanAdapter
+from firmware_sim.tinyg_board import TinyGBoard
+from firmware_sim.udp_port import UdpPort
 
 
 class Shaft:
@@ -70,6 +75,55 @@ def board_for(clock: SimClock, dialect: str) -> GrblBoard:
     board = GrblBoard(Axes(), dialect=dialect, settings=settings)  # type: ignore[arg-type]
     clock.attach(board.advance_to)
     return board
+
+
+@pytest.mark.parametrize(
+    ("verbosity", "words", "firmware"),
+    [(5, "g2core 101.03", "101.03"), (1, "g2core or TinyG, set to tell its build only when it is opened", "")],
+)
+def test_a_g2core_board_is_known_as_it_is_set_and_nothing_is_written(verbosity: int, words: str, firmware: str) -> None:
+    clock = SimClock()
+    board = TinyGBoard(Axes())
+    clock.attach(board.advance_to)
+    line = InProcessLine(board, clock)
+    clock.sleep_s(3.0)
+    line.read(0.1)
+    line.write(b'{"jv":%d}\n' % verbosity)
+    clock.sleep_s(0.1)
+    line.read(0.1)
+    found = identify_line(line, clock)
+    assert (found.role, found.make, found.words, found.firmware) == ("motion", "tinyg", words, firmware)
+    line.write(b'{"jv":5}\n')
+    clock.sleep_s(0.1)
+    line.read(0.1)
+    assert board.state in ("Ready", "Alarm"), board.state
+
+
+def test_a_robot_is_asked_for_its_version_and_left_without_its_arm() -> None:
+    board, port = RcController(Axes()), UdpPort()
+    over = threading.Event()
+
+    def serve() -> None:
+        time_s = 0.0
+        while not over.wait(0.0005):
+            time_s += 0.001
+            board.advance_to(time_s)
+            while data := port.read():
+                board.receive(data)
+            while said := board.transmit():
+                port.write(said)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        found = identify_robot(port.path, SystemClock())
+    finally:
+        over.set()
+        thread.join(5.0)
+        port.close()
+    assert (found.role, found.make, found.words) == ("motion", "bcap", "DENSO b-CAP 2.12.0")
+    assert not board.motor_on
+    assert owner_of(udp_device(port.host, port.port)) is None
 
 
 @pytest.mark.parametrize(

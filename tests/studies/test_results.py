@@ -90,7 +90,7 @@ def test_kills_faults_and_the_doctor_have_their_sections() -> None:
         "kills": 20, "standstill_s_worst": 0.08, "lower_mm_worst": 0.0, "lifted_mm_least": 1.5,
         "spindle_off_s_worst": 0.25, "spindle_stands_s_worst": 0.5,
     }  # fmt: skip
-    doctor = {"examinations": 40, "false_alarms": 0}
+    doctor = {"examinations": 40, "false_alarms": 0, "computer_busy": 3}
     text = page(
         {},
         [

@@ -159,6 +159,7 @@ class BcapController(MotionController):
             raise DeviceFaultError(f"{session.name}: a hold stands; resume() or flush() first; nothing was sent")
         self._go_on()
         feeder.path.add(target_mm, feed_mm_per_s)
+        feeder.fill()
         feeder.feed()
 
     def status(self) -> MotionStatus:
@@ -177,6 +178,10 @@ class BcapController(MotionController):
             session.latch(f"the controller reports {error}")
         feeder.feed()
         return self._status(position_mm)
+
+    def check(self) -> None:
+        """Raise what has latched."""
+        self._session.check()
 
     def wait_until_idle(self, timeout_s: float) -> MotionStatus:
         """Wait for the end of all queued motion, and of a hold if one stands."""
@@ -203,6 +208,7 @@ class BcapController(MotionController):
         if self._feeder.held:
             self._feeder.held = False
             self._go_on()
+            self._feeder.fill()
 
     def flush(self, timeout_s: float = 1.0) -> MotionStatus:
         """Hold, wait for standstill, drop the rest of the path."""
@@ -223,6 +229,11 @@ class BcapController(MotionController):
     def halt(self) -> None:
         """ROBOT_HALT, which ends slave mode, three times in a row, as no reply is waited for."""
         self._session.halt(self._robot.handle)
+
+    @property
+    def is_fed(self) -> bool:
+        """Whether set-points are due: something is queued, or the arm has not come to rest."""
+        return self._feeder.is_on
 
     def feed(self) -> None:
         """Send the set-points that are due; returns at once. Every 5 ms at least while something is queued."""

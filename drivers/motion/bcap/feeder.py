@@ -21,6 +21,8 @@ RESTS = BUFFERED + 1
 MOST_RESTS = 40
 """The arm itself follows a little later; longer than this it is not waited for."""
 SETTLED_MM = 0.005
+FILLED_S = 0.1
+"""Nobody is kept longer by a controller that never says that its buffer is full."""
 RETRY_S = PERIOD_S / 2
 """A reply is due after one or two milliseconds, and what is lost must be made good before the buffer is empty."""
 _SLAVE_MODE, _MOVE = "slvChangeMode", "slvMove"
@@ -41,6 +43,7 @@ class Feeder:
         self._due_s = 0.0
         self._rests = 0
         self._seen: Pose | None = None
+        self._has_been_full = False
         self.path = Path()
         self.is_on = False
         """Whether the controller is in slave mode, as far as known."""
@@ -59,6 +62,14 @@ class Feeder:
         self._robot.execute(_SLAVE_MODE, POSE_BUFFERED)
         self._call = self._unsent = self._seen = None
         self._rests, self._due_s, self.is_on = 0, self._clock.now_s(), True
+        self._has_been_full = False
+
+    def fill(self) -> None:
+        """Send the first set-points without a pause: only a full buffer lets anybody ask for anything else."""
+        deadline_s = self._clock.now_s() + FILLED_S
+        while self.is_on and not self._has_been_full and not self._leaving and self._clock.now_s() < deadline_s:
+            self.feed()
+            self._session.poll(PERIOD_S / 8)
 
     def forget(self) -> None:
         """The controller has left slave mode, or will be told to: nothing is left to feed."""
@@ -108,6 +119,7 @@ class Feeder:
         if call.error is not None or result is None:
             self._stop(str(call.error).removeprefix(f"{self._session.name}: "))
         elif result == E_BUF_FULL:
+            self._has_been_full = True
             self._due_s = now_s + PERIOD_S / 2
         elif failed(result):
             self._stop(result_words(result))
@@ -115,6 +127,7 @@ class Feeder:
             self._leaving = self.is_on = False
         else:
             self._unsent = None
+            self._has_been_full |= result == S_BUF_FULL
             # A little early, so that the buffer stays full whatever the two clocks make of 8 ms.
             self._due_s = now_s + 0.75 * PERIOD_S if result == S_BUF_FULL else now_s
             if isinstance(call.value, tuple) and all(isinstance(each, float) for each in call.value[:3]):

@@ -143,6 +143,7 @@ class BcapSession:
         assert self._call is None or self._call.is_over
         retry_s = self._reply_s if retry_s is None else retry_s
         tries = max(TRIES, round(TRIES * self._reply_s / retry_s))
+        limit_s = max(limit_s, TRIES * self._reply_s)
         self._call = call = Call(function, arguments, retry_s, tries, self._clock.now_s(), limit_s)
         self._send(call)
         return call

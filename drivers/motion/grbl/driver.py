@@ -109,6 +109,11 @@ class GrblController(MotionController):
         return {f"${number}": value for number, value in sorted(self._limits.full_settings.items())}
 
     @property
+    def buffer_bytes(self) -> int | None:
+        """As $I tells it."""
+        return self._limits.info.buffer_bytes
+
+    @property
     def travel(self) -> Travel:
         """The travel in {R}, after soft limits and floor."""
         return self._limits.travel

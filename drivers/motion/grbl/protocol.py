@@ -213,6 +213,8 @@ class BuildInfo:
     options: str
     """Letters of what was chosen when the firmware was built."""
     is_hal: bool
+    buffer_bytes: int | None = None
+    """Of its serial port, where the firmware tells it."""
 
     @property
     def identity(self) -> str:
@@ -234,10 +236,13 @@ def build_info(feedback: list[Feedback]) -> BuildInfo:
         raise ProtocolError(f"firmware version {version!r} found in $I; mill speaks GRBL 1.1 only")
     if "OPT" not in texts:
         raise ProtocolError("no build options found in $I; [OPT:...] is due")
+    # [OPT:letters,blocks,bytes], and more behind it on grblHAL.
+    options = texts["OPT"].split(",")
     return BuildInfo(
         version=version,
         user_text=user_text,
-        options=texts["OPT"].partition(",")[0],
+        options=options[0],
+        buffer_bytes=int(options[2]) if len(options) > 2 and options[2].isdecimal() else None,
         is_hal=texts.get("FIRMWARE") == "grblHAL",
     )
 
