@@ -23,7 +23,9 @@ def examine(patient: Patient) -> Iterator[Check]:
         if earlier is not None:
             same = camera.identity == earlier.camera
             yield Check("camera: cameras as certified", camera.identity, "", earlier.camera, same)
-        camera.capture()
+        first = camera.capture()
+        patient.recorder.frame("left", first.left)
+        patient.recorder.frame("right", first.right)
         ages_ms, stamps, skews_ms, light = [], [], [], []
         for _ in range(PAIRS):
             frame = camera.capture()

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 
 from fastapi import WebSocket, WebSocketDisconnect
 
-MOST_VIEWERS = 8
+MOST_VIEWERS = 20
 STOP_WORD = "stop"
 MOST_WORDS = 20
 """Which a viewer may say in ``WORDS_S``; a person who hammers on the button says ten in a second."""
