@@ -74,7 +74,7 @@ def doctor(chosen: BenchChoice, json_file: Path | None, live: bool, no_motion: b
             console.print(f"compared with the certificate of {earlier.date}", style="dim")
         for check in examine(replace(patient, earlier=earlier), seen.append, _words):
             checks.append(check)
-            told.event("stage", stage="examining", detail=check.name.partition(":")[0])
+            told.event("stage", stage="examining", detail=check.name)
             told.event("check", **check.to_json())
             _show(console, check)
         failed = [check for check in checks if not check.passed]

@@ -52,6 +52,7 @@ def _bare(mode: str) -> FastAPI:
     @app.get("/")
     async def page() -> HTMLResponse:
         nonce = secrets.token_urlsafe(16)
-        return HTMLResponse(whole.replace("{{nonce}}", nonce), headers={"content-security-policy": POLICY.format(nonce=nonce)})
+        policy = {"content-security-policy": POLICY.format(nonce=nonce)}
+        return HTMLResponse(whole.replace("{{nonce}}", nonce), headers=policy)
 
     return app

@@ -56,6 +56,8 @@ class Server:
         # A terminal's Ctrl-C does not reach this session, and SIGTERM may end it.
         loop.add_reader(self._feed, self._hear)
         serving = asyncio.create_task(server.serve([listening]))
+        # Who is told the address may come at once.
+        listening.listen()
         print(gate.address, flush=True)
         while not self._ended and not serving.done():
             self._tell()

@@ -1,13 +1,24 @@
 // The surface as both eyes measured it, the path on it, what is cut, and the drill: turned by dragging or with the arrow keys.
-const STRETCH = 2, view = {turn: 0.5, tilt: 0.8}, hills = {canvas: $("hills"), w: 0, h: 0, alone: document.createElement("canvas")};
+const STRETCH = 2, view = {turn: null, tilt: 0.8}, hills = {canvas: $("hills"), w: 0, h: 0, alone: document.createElement("canvas")};
 $("stretched").textContent = `height × ${STRETCH}`;
 new ResizeObserver(() => { hills.w = hills.canvas.clientWidth; hills.h = hills.canvas.clientHeight; if (now) surface(); }).observe(hills.canvas);
+
+// As the left eye has it, and a little aside.
+function upright() {
+  const px = scene.ring_px?.[0], mm = scene.path_mm;
+  if (!px || !mm || px.length !== mm.length) return null;
+  const mean = (places, k) => places.reduce((s, p) => s + p[k], 0) / places.length, [u, v, x, y] = [mean(px, 0), mean(px, 1), mean(mm, 0), mean(mm, 1)];
+  let [re, im] = [0, 0];
+  px.forEach((p, i) => { const [a, b, c, d] = [p[0] - u, v - p[1], mm[i][0] - x, mm[i][1] - y]; re += a * c + b * d; im += b * c - a * d; });
+  return Math.atan2(im, re) + 0.35;
+}
 
 // From millimetres to pixels, and how far away.
 function looked() {
   const s = scene.surface, middle = axis => (Math.min(...axis) + Math.max(...axis)) / 2, at = [middle(s.x), middle(s.y), middle(s.z.flat())];
   const by = Math.min(hills.w / (1.45 * (s.x.at(-1) - s.x[0])), hills.h / (1.15 * (s.y.at(-1) - s.y[0])));
-  const [ct, st, cf, sf] = [Math.cos(view.turn), Math.sin(view.turn), Math.cos(view.tilt), Math.sin(view.tilt)];
+  const seen = view.turn ?? upright() ?? 0;
+  const [ct, st, cf, sf] = [Math.cos(seen), Math.sin(seen), Math.cos(view.tilt), Math.sin(view.tilt)];
   return ([x, y, z]) => {
     const a = x - at[0], b = y - at[1], c = STRETCH * (z - at[2]), away = a * st + b * ct;
     return [hills.w / 2 + by * (a * ct - b * st), hills.h / 2 - by * (away * sf + c * cf), away * cf - c * sf];
@@ -16,10 +27,10 @@ function looked() {
 
 function surface() {
   const {canvas, w, h, alone} = hills, by = devicePixelRatio;
-  if (!w || !scene.surface || !changed("surface", scene.surface, scene.path_mm, now.points, now.tip_mm, view, palette, w, h, by)) return;
+  if (!w || !scene.surface || !changed("surface", scene.surface, scene.ring_px, scene.path_mm, now.points, now.tip_mm, view, palette, w, h, by)) return;
   const to = looked();
   for (const each of [canvas, alone]) if (each.width !== Math.round(w * by) || each.height !== Math.round(h * by)) { each.width = Math.round(w * by); each.height = Math.round(h * by); before.bone = ""; }
-  if (changed("bone", scene.surface, view, palette, w, h, by)) bone(alone.getContext("2d"), to, by);
+  if (changed("bone", scene.surface, scene.ring_px, view, palette, w, h, by)) bone(alone.getContext("2d"), to, by);
   const g = canvas.getContext("2d");
   g.setTransform(1, 0, 0, 1, 0, 0);
   g.clearRect(0, 0, canvas.width, canvas.height);
@@ -64,8 +75,9 @@ function path(g, to) {
     g.beginPath(); g.arc(a, b, 6, 0, 7);
     g.fillStyle = known(share) ? colour(share) : "#6b717c"; g.fill();
     g.lineWidth = 2; g.strokeStyle = "#ffffff"; g.setLineDash(known(share) ? [] : [3, 3]); g.stroke(); g.setLineDash([]);
-    if (i % 4 === 3) label(g, String(i + 1), a + 9, b - 9, "#ffffff", 15);
   });
+  const flat = places.map(to), [mx, my] = [0, 1].map(k => flat.reduce((s, p) => s + p[k], 0) / flat.length);
+  flat.forEach(([a, b], i) => { if (i % 4 === 3) label(g, String(i + 1), a + 0.22 * (a - mx) - 8, b + 0.22 * (b - my), "#ffffff", 15); });
 }
 
 function drill(g, to, tip) {
@@ -75,7 +87,7 @@ function drill(g, to, tip) {
 }
 
 function turn(by, tilt) {
-  view.turn += by;
+  view.turn = (view.turn ?? upright() ?? 0) + by;
   view.tilt = Math.min(1.5, Math.max(0.15, view.tilt + tilt));
   if (now) surface();
 }

@@ -17,7 +17,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from browser import CHROMIUM, Tab, tab
+from browser import CHROMIUM, DESKTOP_PX, Tab, tab
 from rehearsal import rehearsed
 
 from live.player import Player
@@ -37,7 +37,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Tab]:
     with tab() as opened:
-        opened.size(1440, 900)
+        opened.size(DESKTOP_PX)
         yield opened
 
 
@@ -125,7 +125,7 @@ def test_stop_reaches_the_supervisor_in_time(run: Run, browser: Tab, frozen: boo
         if frozen:
             bench.process.send_signal(signal.SIGSTOP)
         browser.ask("document.getElementById('stop').focus()")
-        for press in (lambda: browser.key("Escape"), lambda: browser.key("Enter"), lambda: browser.press("#stop")):
+        for press in (lambda: browser.key("Escape"), lambda: browser.key("Enter"), lambda: browser.click("#stop")):
             took_s = []
             for _ in range(5):
                 pressed_s = time.monotonic()
