@@ -46,12 +46,13 @@ if TYPE_CHECKING:
 BAUD: Final = 115_200
 FEED_MM_S: Final = 5.0
 SIDE_MM: Final = 8.0
-ABOVE_MM: Final = 6.0
-"""Over the middle of the skull."""
+CORNERS_MM: Final = ((21.0, 4.0, 16.0), (13.0, 4.0, 16.0), (13.0, -4.0, 16.0), (21.0, -4.0, 16.0))
+"""Far above the skull, near the switches."""
 WATCHED_S: Final = 0.6
 """After a click; the supervisor lifts the tip, straight up, after that."""
 BEFORE: Final = 50
-"""Lines of the track from before the click, which say whether the tip ran."""
+JUST_BEFORE: Final = 10
+"""Lines of the track from before the driver's call, and those before the click that say whether the tip ran."""
 MOVES_MM_S: Final = 0.5
 START_S: Final = 120.0
 PICTURE_S: Final = 0.2
@@ -72,22 +73,18 @@ def serve(track: Path, seed: int) -> None:
             file.write(TRACK.pack(time.monotonic(), bench.now_s, x, y, z))
             return bool(select.select([sys.stdin], [], [], 0.0)[0])
 
-        print(service.motion_port, *bench.specimen.skull.center_mm, flush=True)
+        print(service.motion_port, flush=True)
         service.run(look)
 
 
 # The program that moves.
 
 
-def stride(port: str, center_mm: tuple[float, float, float]) -> None:
+def stride(port: str) -> None:
     """Round a square again and again; home and go on after each stop, until somebody ends this process."""
     # What the page sends as well is for programs that end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     clock = SystemClock()
-    x, y, z = center_mm
-    corners = [
-        (x + a * SIDE_MM / 2, y + b * SIDE_MM / 2, z + ABOVE_MM) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))
-    ]
     with (
         Page() as page,
         GrblController(
@@ -107,24 +104,23 @@ def stride(port: str, center_mm: tuple[float, float, float]) -> None:
             with Guard(path, clock) as guard:
                 page.hand_over_stop(guard.stop_end)
                 try:
-                    _round(GuardedMotion(motion, guard), corners, shown)
+                    _round(GuardedMotion(motion, guard), shown)
                 except MillError as error:
                     shown.event("latched", reason=str(error))
                     print(f"stopped: {error}", flush=True)
 
 
-def _round(motion: GuardedMotion, corners: Sequence[tuple[float, float, float]], shown: Shown) -> None:
+def _round(motion: GuardedMotion, shown: Shown) -> None:
     clock = SystemClock()
     picture = np.random.default_rng(0).integers(0, 90, (540, 960, 3), dtype=np.uint8)
     shown.event("stage", stage="homing")
     motion.home()
-    motion.start_move((*motion.status().position_mm[:2], corners[0][2]), feed_mm_per_s=MAX_FEED_MM_S)
-    motion.start_move(corners[0], feed_mm_per_s=MAX_FEED_MM_S)
+    motion.start_move(CORNERS_MM[0], feed_mm_per_s=MAX_FEED_MM_S)
     motion.wait_until_idle(timeout_s=30.0)
     print("striding", flush=True)
     shown.event("stage", stage="striding")
     for number in range(1, 10_000):
-        motion.start_move(corners[number % 4], feed_mm_per_s=FEED_MM_S)
+        motion.start_move(CORNERS_MM[number % 4], feed_mm_per_s=FEED_MM_S)
         while motion.status().queued_s > SIDE_MM / FEED_MM_S:
             shown.frame("left", picture)
             shown.frame("right", picture)
@@ -193,7 +189,7 @@ def stood(track: "np.ndarray[Any, np.dtype[np.float64]]", clicked_s: float) -> d
     before, after = real_s[1:] <= clicked_s, real_s[1:] > clicked_s
     last_s = real_s[1:][moves & after].max() if (moves & after).any() else clicked_s
     return {
-        "ran_before": bool(moves[before].any()),
+        "ran_before": bool(moves[before][-JUST_BEFORE:].any()),
         "stands_in_the_end": bool(real_s[-1] - last_s > 0.1),
         "standstill_s": float(last_s - clicked_s),
     }
@@ -210,8 +206,8 @@ def stage(seed: int = 0) -> Iterator[Stage]:
         all_of_it.callback(_end, bench)
         browser = all_of_it.enter_context(chromium())
         assert bench.stdout is not None
-        where = bench.stdout.readline().split()
-        program = subprocess.Popen([*own, "--strides", *where], stdout=pipe, text=True)
+        port = bench.stdout.readline().strip()
+        program = subprocess.Popen([*own, "--strides", port], stdout=pipe, text=True)
         all_of_it.callback(_end, program)
         assert program.stdout is not None
         # The page's own policy keeps a function that is waited for out of it.
@@ -259,14 +255,13 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--bench", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--strides", nargs=4, help=argparse.SUPPRESS)
+    parser.add_argument("--strides", help=argparse.SUPPRESS)
     given = parser.parse_args(words)
     if given.bench:
         serve(given.bench, given.seed)
         return
     if given.strides:
-        x, y, z = (float(value) for value in given.strides[1:])
-        stride(given.strides[0], (x, y, z))
+        stride(given.strides)
         return
     figures = measure(given.clicks, given.seed)
     for name, value in figures.items():

@@ -55,8 +55,12 @@ class Tab:
         self.page.keyboard.press(key)
 
     def click(self, selector: str) -> None:
-        """Press an element with the mouse, where it is."""
-        self.page.click(selector, no_wait_after=True)
+        """Press the mouse where an element is, whatever it thinks of that."""
+        box = self.page.locator(selector).bounding_box()
+        assert box is not None
+        self.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        self.page.mouse.down()
+        self.page.mouse.up()
 
     def size(self, size_px: tuple[int, int], *, dark: bool = False) -> None:
         """Of the window; and the person's taste."""
