@@ -13,16 +13,19 @@ memory is looked at on the way.
 """
 
 import argparse
+import array
 import asyncio
 import contextlib
+import fcntl
 import http.client
 import json
 import re
 import subprocess
 import sys
 import tempfile
+import termios
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, Self
 from urllib.parse import urlsplit
@@ -43,6 +46,7 @@ Floats = npt.NDArray[np.float64]
 SLEEP_S: Final = 0.005
 SETTLE_S: Final = 1.0
 RESAMPLED: Final = 2000
+REST_S: Final = 0.002
 LOOKS: Final = 12
 """At the memory, evenly over the hours; the first half is warming up."""
 
@@ -197,7 +201,7 @@ class _Loop:
         return 1000.0 * np.diff(times)
 
 
-def measure_memory(hours: float, viewers: int = MOST_VIEWERS) -> dict[str, float]:
+def measure_memory(hours: float, viewers: int = MOST_VIEWERS) -> dict[str, Any]:
     """Megabytes of the page's process after half of the hours and at their end, and the most between."""
     drawn = np.random.default_rng(0)
     clock = ToldClock()
@@ -214,12 +218,11 @@ def measure_memory(hours: float, viewers: int = MOST_VIEWERS) -> dict[str, float
             kind, fields = event_of(drawn, number)
             if number % 1000 == 0:
                 kind, fields = "bad_reading", {"reason": "a completion is NaN or infinite"}
-            for _ in _until_taken(page):
-                shown.event(kind, **fields)
+            shown.event(kind, **fields)
             if number % every == 0:
                 for eye in (0, 1):
-                    for _ in _until_taken(page):
-                        page.send(wire.PICTURE, wire.picture_body(eye, clock.now_s(), (0, 0, 960, 540), jpeg))
+                    page.send(wire.PICTURE, wire.picture_body(eye, clock.now_s(), (0, 0, 960, 540), jpeg))
+                _until_heard(page)
             if (number + 1) % max(1, events // LOOKS) == 0:
                 sizes.append(memory_mb(page.process_id))
         stayed = crowd.go()
@@ -233,17 +236,17 @@ def measure_memory(hours: float, viewers: int = MOST_VIEWERS) -> dict[str, float
         "end_mb": half[-1],
         "most_mb": max(half),
         "growth_mb": half[-1] - half[0],
+        "dropped": float(page.dropped),
+        "looks_mb": sizes,
     }
 
 
-def _until_taken(page: Page) -> Iterator[None]:
-    """Again and again, until nothing is dropped: the far end is slower than this clock."""
-    dropped = page.dropped - 1
-    while page.dropped != dropped:
-        dropped = page.dropped
-        yield
-        if page.dropped != dropped:
-            time.sleep(0.0005)
+def _until_heard(page: Page) -> None:
+    """Wait until the far end has read everything, and a little longer: it has viewers as well."""
+    unread = array.array("i", [1])
+    while unread[0]:
+        time.sleep(REST_S)
+        fcntl.ioctl(page.feed_fd, termios.TIOCOUTQ, unread)
 
 
 def memory_mb(process_id: int) -> float:
@@ -269,7 +272,7 @@ def main(words: Sequence[str] | None = None) -> None:
         measure_loop(given.pairs, given.seconds) if given.hours is None else measure_memory(given.hours)
     )
     for name, value in figures.items():
-        print(f"{name}: {value:.4g}")
+        print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
     if given.json:
         given.json.write_text(json.dumps({"command": "live viewers", **figures}), encoding="utf-8")
 

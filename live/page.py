@@ -91,6 +91,11 @@ class Page:
         """Of the process that serves."""
         return self._process.pid
 
+    @property
+    def feed_fd(self) -> int:
+        """Of the socket to it, for who must know what it has not read yet."""
+        return self._socket.fileno()
+
     def header(self, **fields: Any) -> None:
         """What runs: its ``title``, its ``command``, and as ``calibration`` the file of one, to draw by."""
         self.send(wire.HEADER, json.dumps(fields).encode())

@@ -10,10 +10,17 @@ from playwright.sync_api import ConsoleMessage, Page
 from drivers.clock import SystemClock
 from studies.chromium import CHROMIUM, chromium
 
-__all__ = ["CHROMIUM", "DESKTOP_PX", "TABLET_PX", "Tab", "tab"]
+__all__ = ["BRIGHT", "CHROMIUM", "DESKTOP_PX", "TABLET_PX", "Tab", "tab"]
 
 ANSWER_S = 60.0
 DESKTOP_PX, TABLET_PX = (1600, 900), (1024, 768)
+BRIGHT = """(k => {
+    const c = document.getElementById(`eye${k}`), d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+    let sum = 0;
+    for (let i = 0; i < d.length; i += 4004) sum += d[i];
+    return sum / (d.length / 4004);
+})"""
+"""How bright a picture is on the average."""
 
 
 class Tab:

@@ -17,7 +17,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from browser import CHROMIUM, DESKTOP_PX, TABLET_PX, Tab, tab
+from browser import BRIGHT, CHROMIUM, DESKTOP_PX, TABLET_PX, Tab, tab
 from rehearsal import rehearsed
 
 from live.player import Player
@@ -86,13 +86,6 @@ def fed(folder: Path, *words: str) -> Iterator[Bench]:
         os.close(far)
 
 
-BRIGHT = """(k => {
-    const c = document.getElementById(`eye${k}`), d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
-    let sum = 0;
-    for (let i = 0; i < d.length; i += 4004) sum += d[i];
-    return sum / (d.length / 4004);
-})"""
-"""How bright a picture is on the average."""
 PAINTED = """(c => {
     const d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
     let sum = 0;
