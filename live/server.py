@@ -137,6 +137,7 @@ class Server:
             "immediate": self._stop.immediate,
         }
         self._viewers.put("now", _json(**now))
+        self._viewers.wake()
 
 
 def _json(**fields: Any) -> str:
