@@ -28,7 +28,7 @@ RATE_HZ: Final = 100.0
 FRAMES_HZ: Final = 30.0
 
 
-class _ToldClock:
+class ToldClock:
     """Time passes when it is told to."""
 
     def __init__(self) -> None:
@@ -54,10 +54,10 @@ class _Straight:
 def measure(events: int) -> dict[str, float]:
     """Median times in us, their ratio, and shares of a second."""
     drawn = np.random.default_rng(0)
-    many = [_event(drawn, number) for number in range(events)]
+    many = [event_of(drawn, number) for number in range(events)]
     picture = drawn.integers(0, 255, (540, 960, 3), dtype=np.uint8)
     picture = picture // 8 + np.linspace(60, 180, 960, dtype=np.uint8)[None, :, None]
-    clock = _ToldClock()
+    clock = ToldClock()
     with tempfile.TemporaryDirectory() as folder, Page() as page:
         with RunRecorder(Path(folder) / "run", {}, clock) as record:
             record_us = _times(record, many, clock)
@@ -82,7 +82,7 @@ def measure(events: int) -> dict[str, float]:
     }
 
 
-def _event(drawn: np.random.Generator, number: int) -> tuple[str, dict[str, Any]]:
+def event_of(drawn: np.random.Generator, number: int) -> tuple[str, dict[str, Any]]:
     """Three questions and three readings, a place cut or left and a load, again and again."""
     point = number % POINTS + 1
     match number % 8:
@@ -97,7 +97,7 @@ def _event(drawn: np.random.Generator, number: int) -> tuple[str, dict[str, Any]
     return "load", {"torque": float(drawn.random()), "rpm": 50_000.0, "tip_mm": (1.0, 2.0, -2.5)}
 
 
-def _times(recorder: Recorder, many: Sequence[tuple[str, dict[str, Any]]], clock: _ToldClock) -> list[float]:
+def _times(recorder: Recorder, many: Sequence[tuple[str, dict[str, Any]]], clock: ToldClock) -> list[float]:
     times = []
     for kind, fields in many:
         clock.sleep_s(1.0 / RATE_HZ)

@@ -136,6 +136,7 @@ def calibrate(
     _require_free_air(motion, setpoints_mm)
     sightings: list[Sighting] = []
     hidden: list[str] = []
+    recorder.event("calibration.setpoints", targets_mm=[list(target) for target in setpoints_mm])
     _lift(motion, max(target[2] for target in setpoints_mm), feed_mm_per_s)
     _approach(motion, setpoints_mm[0], feed_mm_per_s)
     for done, target in enumerate(setpoints_mm, start=1):
@@ -151,6 +152,7 @@ def calibrate(
                 recorder.event("calibration.hidden", target_mm=list(place), reason=reason)
         if sighting is None:
             hidden.append(f"{target}: {reason}")
+            recorder.event("calibration.missed", target_mm=list(target), reason=reason)
             note = "not seen"
         else:
             sightings.append(sighting)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 import click
 
+from cli.live import live_option, page_for, shown_in_the_air, stoppable
 from cli.options import BenchChoice, json_option, on_a_bench
 from cli.output import console_beside, write_json
 from cli.rig import Rig, rig_for, traced
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from calib.calibration_file import Calibration, Provenance
     from drivers.camera.interface import StereoCamera
     from drivers.motion.interface import MotionController
+    from drivers.recorder import Recorder
     from vision.keypoints import TipFinder
 
 
@@ -29,6 +31,7 @@ def calibration_path(rig_name: str) -> Path:
 @click.command()
 @on_a_bench
 @json_option
+@live_option
 @click.option("--recipe", type=click.Choice(["default", "paper"]), default="default", show_default=True)
 @click.option("--verify", "only_verify", is_flag=True, help="Check an existing calibration at one setpoint instead.")
 @click.option(
@@ -40,6 +43,7 @@ def calibration_path(rig_name: str) -> Path:
 def calibrate(
     chosen: BenchChoice,
     json_file: Path | None,
+    live: bool,
     recipe: str,
     only_verify: bool,
     out: Path | None,
@@ -55,7 +59,7 @@ def calibrate(
     from vision.keypoints import TipFinder
 
     console = console_beside(json_file)
-    with rig_for(chosen) as bench:
+    with page_for(live, console) as page, rig_for(chosen) as bench:
         find_tip = TipFinder.load(bench.config.weights.tip)
         path = out or calibration_path(bench.config.name)
         if path.suffix == ".html":
@@ -65,17 +69,26 @@ def calibrate(
         if only_verify:
             Calibration.load(path, None)  # an unusable file is refused before anything moves
         started_s = bench.clock.now_s()
-        with bench.open_spindle() as spindle, bench.open_camera() as camera, bench.open_motion() as motion:
+        with (
+            bench.open_spindle() as spindle,
+            bench.open_camera() as camera,
+            bench.open_motion() as controller,
+            stoppable(controller, page, bench.clock) as motion,
+            shown_in_the_air(traced(NullRecorder(), bench), page, bench.config.name, "calibrate", bench.clock) as told,
+        ):
             known = (
                 Calibration.load(path, rig_identity(bench, motion, camera, spindle.identity)) if only_verify else None
             )
             console.print("homing")
+            told.event("stage", stage="homing")
             motion.home()
             if known is not None:
-                _verify(known, path, bench, motion, camera, find_tip, console, json_file)
+                told.event("stage", stage="verifying")
+                _verify(known, path, bench, motion, camera, find_tip, told, console, json_file)
                 return
-            calibration = calibrate_rig(bench, motion, camera, spindle.identity, find_tip, console, recipe=recipe)
+            calibration = calibrate_rig(bench, motion, camera, spindle.identity, find_tip, told, console, recipe=recipe)
             calibration.save(path)
+            told.event("outcome", outcome="complete", reason=f"held-out error {calibration.rmse_mm:.3f} mm; {path}")
             duration_s = bench.clock.now_s() - started_s
             report = path.with_suffix(".html")
             write_calibration_report(report, calibration, path, duration_s)
@@ -97,6 +110,7 @@ def calibrate_rig(
     camera: "StereoCamera",
     spindle_identity: str,
     find_tip: "TipFinder",
+    recorder: "Recorder",
     console: Any,
     *,
     recipe: str = "default",
@@ -117,6 +131,7 @@ def calibrate_rig(
         bar = progress.add_task("", total=None)
 
         def show(done: int, total: int, words: str) -> None:
+            recorder.event("stage", stage="calibrating", detail=f"setpoint {done} of {total}")
             progress.update(bar, completed=done, total=total, description=words)
 
         return procedure.calibrate(
@@ -129,7 +144,7 @@ def calibrate_rig(
             spindle_identity=spindle_identity,
             camera_settings=bench.config.camera_settings,
             provenance=provenance(find_tip),
-            recorder=traced(NullRecorder(), bench),
+            recorder=recorder,
             progress=show,
         )
 
@@ -152,14 +167,14 @@ def _verify(
     motion: "MotionController",
     camera: "StereoCamera",
     find_tip: "TipFinder",
+    recorder: "Recorder",
     console: Any,
     json_file: Path | None,
 ) -> None:
     from calib import procedure
 
-    seen = procedure.verify(
-        calibration, motion, camera, find_tip.find, clock=bench.clock, recorder=traced(NullRecorder(), bench)
-    )
+    seen = procedure.verify(calibration, motion, camera, find_tip.find, clock=bench.clock, recorder=recorder)
+    recorder.event("outcome", outcome="complete", reason=f"verified: off by {seen.error_px:.2f} px")
     console.print(
         f"[bold green]verified[/] {path}: off by {seen.error_mm.round(3).tolist()} mm, {seen.error_px:.2f} px, "
         f"{seen.distance_sigmas:.1f} sigmas"

@@ -2,7 +2,8 @@
 
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -12,15 +13,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cli.emulate import sorted_faults
+from cli.live import live_option, page_for, shown_in_the_air, stoppable
 from cli.options import BenchChoice, json_option, on_a_bench
 from cli.output import console_beside, for_people, write_json
-from cli.rig import Rig, rig_for
+from cli.rig import Rig, rig_for, traced
 from drivers.errors import MillError
+from drivers.recorder import NullRecorder
 
 if TYPE_CHECKING:
     from calib.calibration_file import Calibration
     from doctor.certificate import Certificate
     from doctor.check import Check, Patient
+    from drivers.motion.interface import MotionController
 
 CERTIFICATES = Path("certificates")
 ALMOST_FULL_MB = 12.0
@@ -30,13 +34,14 @@ ALMOST_FULL_MB = 12.0
 @click.command()
 @on_a_bench
 @json_option
+@live_option
 @click.option(
     "--no-motion", is_flag=True, help="Leave the axes and the spindle still; measure only what needs neither."
 )
 @click.option(
     "--recertify", is_flag=True, help="Compare with no earlier certificate: what has changed since was meant to."
 )
-def doctor(chosen: BenchChoice, json_file: Path | None, no_motion: bool, recertify: bool) -> None:
+def doctor(chosen: BenchChoice, json_file: Path | None, live: bool, no_motion: bool, recertify: bool) -> None:
     """Measure a rig: computer, motion, spindle, cameras, and all of them together.
 
     The axes home, move in the air and visit the setpoints of a calibration; the spindle turns for some seconds. It
@@ -50,9 +55,20 @@ def doctor(chosen: BenchChoice, json_file: Path | None, no_motion: bool, recerti
     console = console_beside(json_file)
     checks: list[Check] = []
     seen: list[Calibration] = []
-    with rig_for(chosen, plants=("disk",)) as bench:
+    with (
+        page_for(live, console) as page,
+        rig_for(chosen, plants=("disk",)) as bench,
+        shown_in_the_air(traced(NullRecorder(), bench), page, bench.config.name, "doctor", bench.clock) as told,
+    ):
+
+        @contextmanager
+        def open_motion() -> "Iterator[MotionController]":
+            with bench.open_motion() as controller, stoppable(controller, page, bench.clock) as motion:
+                yield motion
+
         working = console.status("who is there")
-        patient = _patient(bench, chosen, moving=not no_motion, doing=working.update)
+        known = _patient(bench, chosen, moving=not no_motion, doing=working.update)
+        patient = replace(known, open_motion=open_motion, recorder=told)
         with working:
             there = attendance(patient)
             earlier = None if recertify else _earlier(there.devices)
@@ -60,10 +76,15 @@ def doctor(chosen: BenchChoice, json_file: Path | None, no_motion: bool, recerti
                 console.print(f"compared with the certificate of {earlier.date}", style="dim")
             for check in examine(replace(patient, earlier=earlier), seen.append, _words):
                 checks.append(check)
-                if bench.trace is not None:
-                    bench.trace.event("check", **check.to_json())
+                told.event("stage", stage="examining", detail=check.name)
+                told.event("check", **check.to_json())
                 _show(console, check)
-    passed = all(check.passed for check in checks)
+        failed = [check for check in checks if not check.passed]
+        if failed:
+            told.event("outcome", outcome="failed", reason=f"{len(failed)} of {len(checks)} checks failed")
+        else:
+            told.event("outcome", outcome="complete", reason="every check passed")
+    passed = not failed
     now = datetime.now(UTC)
     path = CERTIFICATES / f"{re.sub('[^a-z0-9]+', '-', bench.config.name.lower()).strip('-')}.json"
     certified = passed and not no_motion
@@ -75,10 +96,9 @@ def doctor(chosen: BenchChoice, json_file: Path | None, no_motion: bool, recerti
     report = path.with_suffix(".html") if certified else path.with_name(f"{path.stem}-examined.html")
     write_doctor_report(report, bench.config.name, checks, there.devices, earlier, now, certified=certified)
     if json_file:
-        told = [check.to_json() for check in checks]
+        findings = [check.to_json() for check in checks]
         paths = {"report": str(report), "certificate": str(path) if certified else None}
-        write_json(json_file, "doctor", seed=chosen.drawn_from, passed=passed, checks=told, **paths)
-    failed = [check for check in checks if not check.passed]
+        write_json(json_file, "doctor", seed=chosen.drawn_from, passed=passed, checks=findings, **paths)
     console.print(f"report: {report}", highlight=False, soft_wrap=True)
     if failed:
         console.print(f"[bold red]{len(failed)} of {len(checks)} checks failed[/]")

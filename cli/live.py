@@ -1,4 +1,4 @@
-"""`mill live`: a recorded run in the browser; and the page of a run that goes on, for the commands that mill."""
+"""`mill live`: a recorded run in the browser; and the page of a command that goes on."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,20 +7,21 @@ from typing import TYPE_CHECKING
 
 import click
 
+from cli.output import for_people
 from cli.runs import folder_option, located
+from drivers.errors import MillError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from calib.calibration_file import Calibration
     from drivers.clock import Clock
+    from drivers.motion.interface import MotionController
     from drivers.recorder import Recorder
     from live.page import Page
     from milling.guard import Guard
 
-live_option = click.option(
-    "--live", is_flag=True, help="Show the run in a browser, with a button that stops the machine."
-)
+live_option = click.option("--live", is_flag=True, help="Show it in a browser, with a button that stops the machine.")
 
 
 @click.command()
@@ -29,7 +30,8 @@ live_option = click.option(
 def live(run_folder: Path, folder: Path) -> None:
     """Play a recorded run in the browser: pictures, ring, curves and reasons, with a time slider.
 
-    Prints a link for a browser on this computer; Ctrl-C ends it. `mill run --live` shows a run while it goes on.
+    Prints a link for a browser on this computer; Ctrl-C ends it. With --live, `mill run`, `mill resume`,
+    `mill calibrate` and `mill doctor` show what they do while they do it.
     """
     from live.page import require_installed
 
@@ -46,6 +48,7 @@ def shown(
     recorder: "Recorder",
     page: "Page | None",
     folder: Path,
+    command: str,
     calibration: "Calibration",
     guard: "Guard | None",
     clock: "Clock",
@@ -55,15 +58,55 @@ def shown(
         return recorder
     from live.page import Shown
 
-    page.header(title=folder.name, calibration=str((folder / "calibration.toml").resolve()))
+    page.header(title=folder.name, command=command, calibration=str((folder / "calibration.toml").resolve()))
     if guard is not None:
         page.hand_over_stop(guard.stop_end)
     return Shown(recorder, page, clock, calibration)
 
 
 @contextmanager
+def shown_in_the_air(
+    recorder: "Recorder", page: "Page | None", title: str, command: str, clock: "Clock"
+) -> "Iterator[Recorder]":
+    """The recorder of a command that cuts nothing, shown on the page, which is told how it ended where that is ill."""
+    if page is None:
+        yield recorder
+        return
+    from live.page import Shown
+
+    page.header(title=title, command=command)
+    told = Shown(recorder, page, clock, None)
+    try:
+        yield told
+    except KeyboardInterrupt:
+        told.event("outcome", outcome="interrupted", reason="stopped by a person")
+        raise
+    except MillError as error:
+        told.event("outcome", outcome="failed", reason=for_people(error))
+        raise
+
+
+@contextmanager
+def stoppable(motion: "MotionController", page: "Page | None", clock: "Clock") -> "Iterator[MotionController]":
+    """The same controller, in free air, with a supervisor that the page's button reaches.
+
+    Without a page, or where no supervisor can reach the wire, the controller itself: the page interrupts the command.
+    """
+    path = motion.stop_path
+    if page is None or path is None:
+        yield motion
+        return
+    from milling.guard import Guard
+    from milling.guarded_motion import GuardedMotion
+
+    with Guard(path, clock) as guard:
+        page.hand_over_stop(guard.stop_end)
+        yield GuardedMotion(motion, guard)
+
+
+@contextmanager
 def page_for(wanted: bool, console: "Console") -> "Iterator[Page | None]":
-    """The page of this command's run, told on the terminal; None where nobody asked for one."""
+    """The page of this command, told on the terminal; None where nobody asked for one."""
     if not wanted:
         yield None
         return

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from cli.calibrate import calibrate_rig, calibration_path, rig_identity
 from cli.doctor import CERTIFICATES, software
 from cli.emulate import hogged, recorded, sorted_faults, spoiled
-from cli.live import page_for, shown
+from cli.live import page_for, shown, shown_in_the_air, stoppable
 from cli.log import Logged, logged
 from cli.options import BenchChoice
 from cli.output import console_beside, write_json
@@ -20,15 +20,21 @@ from cli.rig import Rig, rig_for, traced
 from cli.study import study_of
 from drivers.device import closed_in_the_end
 from drivers.errors import ConfigError
+from drivers.recorder import NullRecorder
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from calib.calibration_file import Calibration
+    from drivers.camera.interface import StereoCamera
     from drivers.motion.interface import MotionController
     from drivers.spindle.interface import Spindle
+    from live.page import Page
     from milling.guard import Guard
     from milling.job import Job
     from milling.record import Run
     from milling.standing import Standing
+    from vision.keypoints import TipFinder
 
 
 @dataclass(frozen=True)
@@ -116,9 +122,7 @@ def mill_window(asked: Window) -> None:
                 require(CERTIFICATES, devices, motion.settings, software=software(),
                         max_age_h=certified.max_age_h, now=age["now"])  # fmt: skip
             if known is None:
-                console.print("homing")
-                motion.home()
-                known = calibrate_rig(bench, motion, camera, spindle.identity, tip, console)
+                known = _calibrated(asked.command, bench, motion, camera, spindle.identity, tip, page, console)
                 console.print(f"calibrated: held-out error {known.rmse_mm:.3f} mm ({known.model} model)")
             else:
                 known = Calibration.load(path, identity, for_milling=True, **age)
@@ -158,7 +162,7 @@ def mill_window(asked: Window) -> None:
                 )
                 scorer = Scorer(traced(recorded(recorder, own_faults, bench.clock), bench), bench)
                 with watched(console) as tell, hogged(own_faults), _guarded(motion, spindle, bench) as guard:
-                    told = shown(scorer, page, folder, known, guard, bench.clock)
+                    told = shown(scorer, page, folder, asked.command, known, guard, bench.clock)
                     told = Logged(told) if asked.log_file else told
                     result = loop.run(
                         replace(rig_, guard=guard),
@@ -190,6 +194,27 @@ def mill_window(asked: Window) -> None:
         write_json(json_file, asked.command, seed=chosen.drawn_from, **figures)
     if result.outcome != "complete":
         raise SystemExit(1)
+
+
+def _calibrated(
+    command: str,
+    bench: Rig,
+    motion: "MotionController",
+    camera: "StereoCamera",
+    spindle_identity: str,
+    tip: "TipFinder",
+    page: "Page | None",
+    console: "Console",
+) -> "Calibration":
+    """Of a virtual bench that nobody has calibrated."""
+    with (
+        stoppable(motion, page, bench.clock) as stopped,
+        shown_in_the_air(traced(NullRecorder(), bench), page, bench.config.name, command, bench.clock) as told,
+    ):
+        console.print("homing")
+        told.event("stage", stage="homing")
+        stopped.home()
+        return calibrate_rig(bench, stopped, camera, spindle_identity, tip, told, console)
 
 
 def _calibration_header(calibration: "Calibration") -> dict[str, Any]:

@@ -26,7 +26,9 @@ def examine(patient: Patient) -> Iterator[Check]:
             same = camera.identity == earlier.camera
             yield Check("camera: cameras as certified", camera.identity, "", earlier.camera, same)
         patient.doing("looking")
-        camera.capture()
+        first = camera.capture()
+        patient.recorder.frame("left", first.left)
+        patient.recorder.frame("right", first.right)
         ages_ms, stamps, skews_ms, light = [], [], [], []
         for _ in range(PAIRS):
             frame = camera.capture()

@@ -1,6 +1,7 @@
 """One finding, and what is examined."""
 
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -8,6 +9,7 @@ from drivers.camera.interface import StereoCamera
 from drivers.clock import Clock
 from drivers.errors import ConfigError, DeviceError
 from drivers.motion.interface import MotionController, Vector
+from drivers.recorder import NullRecorder, Recorder
 from drivers.spindle.interface import Spindle
 
 if TYPE_CHECKING:
@@ -69,7 +71,7 @@ class Patient:
     """A rig to be examined: how to open its devices, and what its file says of them."""
 
     clock: Clock
-    open_motion: Callable[[], MotionController]
+    open_motion: Callable[[], AbstractContextManager[MotionController]]
     open_spindle: Callable[[], Spindle]
     open_camera: Callable[[], StereoCamera]
     find_tip: "FindTip"
@@ -86,6 +88,8 @@ class Patient:
     """Room where records go."""
     doing: Callable[[str], None] = lambda _words: None
     """Told what is under way where that takes a while."""
+    recorder: Recorder = field(default_factory=NullRecorder)
+    """Takes a picture of each eye now and then, and what the eyes saw at each setpoint."""
 
 
 def at_most(name: str, value: float, limit: float, unit: str, advice: str = "") -> Check:

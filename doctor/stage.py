@@ -42,7 +42,7 @@ def examine(patient: Patient, keep: Callable[[Calibration], None]) -> Iterator[C
         try:
             found = calibrate(
                 motion, camera, patient.find_tip, clock=patient.clock, tool_offset_mm=patient.center_from_tip_mm,
-                setpoints_mm=default_setpoints(travel=INNER), frames_per_setpoint=2,
+                setpoints_mm=default_setpoints(travel=INNER), frames_per_setpoint=2, recorder=patient.recorder,
             )  # fmt: skip
         except (CalibrationError, DetectionError) as error:
             yield Check("eyes: left, right and mirrored", str(error), "", "a drill that moves as it should", False)
@@ -84,6 +84,8 @@ class _Eyes:
         pixels: list[list[float]] = []
         for _ in range(FRAMES):
             frame = self._camera.capture()
+            self._patient.recorder.frame("left", frame.left)
+            self._patient.recorder.frame("right", frame.right)
             left, right = self._patient.find_tip(frame.left), self._patient.find_tip(frame.right)
             if left.visible and right.visible:
                 pixels.append([left.x_px, left.y_px, right.x_px, right.y_px])

@@ -11,7 +11,9 @@ from live.gate import POLICY
 from live.player import Player
 from live.viewers import Viewers
 
-PAGE = Path(__file__).with_name("page.html")
+WEB = Path(__file__).with_name("web")
+SCRIPTS = ("base", "gauge", "points", "news", "curves", "eyes", "surface", "air", "live", "record")
+"""In the order in which they build on each other; one page takes one request."""
 
 
 def watched(viewers: Viewers, stop: Callable[[], None], first: Callable[[], str]) -> FastAPI:
@@ -43,11 +45,14 @@ def recorded(player: Player) -> FastAPI:
 
 def _bare(mode: str) -> FastAPI:
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    script = "\n".join((WEB / f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS)
+    whole = (WEB / "page.html").read_text(encoding="utf-8").replace("{{mode}}", mode)
+    whole = whole.replace("{{style}}", (WEB / "page.css").read_text(encoding="utf-8")).replace("{{script}}", script)
 
     @app.get("/")
     async def page() -> HTMLResponse:
         nonce = secrets.token_urlsafe(16)
-        text = PAGE.read_text(encoding="utf-8").replace("{{nonce}}", nonce).replace("{{mode}}", mode)
-        return HTMLResponse(text, headers={"content-security-policy": POLICY.format(nonce=nonce)})
+        policy = {"content-security-policy": POLICY.format(nonce=nonce)}
+        return HTMLResponse(whole.replace("{{nonce}}", nonce), headers=policy)
 
     return app

@@ -32,8 +32,8 @@ MOST_PX = 480
 REGION_RADII = 3.4
 """Half the width of the part of a picture that is shown, in radii of the ring, as soon as that is known."""
 QUALITY = 75
-UNSHOWN = {"surface", "looked", "voided", "frame"}
-"""Events that no page shows, some of them large."""
+UNSHOWN = {"looked", "voided", "frame", "late"}
+"""Events that no page shows, some of them large or many."""
 NEEDED = ("fastapi", "uvicorn", "websockets")
 
 
@@ -91,8 +91,13 @@ class Page:
         """Of the process that serves."""
         return self._process.pid
 
+    @property
+    def feed_fd(self) -> int:
+        """Of the socket to it, for who must know what it has not read yet."""
+        return self._socket.fileno()
+
     def header(self, **fields: Any) -> None:
-        """What runs; ``calibration`` is the file of one, to draw by."""
+        """What runs: its ``title``, its ``command``, and as ``calibration`` the file of one, to draw by."""
         self.send(wire.HEADER, json.dumps(fields).encode())
 
     def hand_over_stop(self, stop_end: int) -> None:
@@ -158,8 +163,8 @@ class Page:
 class Shown:
     """A recorder that passes everything on, and shows it as well. What it costs is bounded, whoever watches."""
 
-    def __init__(self, recorder: Recorder, page: Page, clock: Clock, optics: Optics) -> None:
-        """Events are stamped relative to now, as the record's are; ``optics`` finds the ring in both pictures."""
+    def __init__(self, recorder: Recorder, page: Page, clock: Clock, optics: Optics | None) -> None:
+        """Events are stamped relative to now, as the record's are; ``optics`` finds the ring, if there is one."""
         self._recorder = recorder
         self._optics = optics
         self._rings: list[tuple[Floats, float]] = []
@@ -174,7 +179,7 @@ class Shown:
         try:
             if kind not in UNSHOWN and (kind != "reading" or self._due(kind, READING_PERIOD_S)):
                 self._page.send(wire.EVENT, self._packed(kind, fields))
-            if kind == "trajectory":
+            if kind == "trajectory" and self._optics is not None:
                 both = self._optics.project(np.asarray(fields["fit_mm"]))
                 self._rings = [(ring.mean(axis=0), mean_radius(ring)) for ring in both]
         finally:

@@ -64,6 +64,7 @@ class Player:
                 moments[-1] = {**story.told(), **more}
         return {
             "title": run.folder.name,
+            "command": run.header.get("command", "run"),
             "rig": run.header.get("rig", ""),
             "damage": run.damage,
             "scenes": scenes,

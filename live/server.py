@@ -56,6 +56,8 @@ class Server:
         # A terminal's Ctrl-C does not reach this session, and SIGTERM may end it.
         loop.add_reader(self._feed, self._hear)
         serving = asyncio.create_task(server.serve([listening]))
+        # Who is told the address may come at once.
+        listening.listen()
         print(gate.address, flush=True)
         while not self._ended and not serving.done():
             self._tell()
@@ -92,7 +94,9 @@ class Server:
         elif kind == wire.STOP_END:
             self._stop.take(files[0])
         elif kind == wire.HEADER:
-            self._header = json.loads(body)
+            # A command may do one thing after another, each on a clock of its own.
+            self._header, self._story, self._scene_told = json.loads(body), Story(), -1
+            self._viewers.put("history", self._history())
             if calibration := self._header.get("calibration"):
                 look_by(self._story, Path(calibration))
 
@@ -110,10 +114,12 @@ class Server:
         self._tell()
 
     def _history(self) -> str:
-        return _json(kind="history", rows=self._story.rows, title=self._header.get("title", "mill run"))
+        told = {key: self._header.get(key, "") for key in ("title", "command")}
+        return _json(kind="history", rows=self._story.rows, **told)
 
     def _tell(self) -> None:
         story = self._story
+        del story.news[:-MOST_NEWS]
         if self._scene_told != story.scene_number:
             self._scene_told = story.scene_number
             self._viewers.put("scene", _json(kind="scene", **story.scene))
@@ -122,7 +128,7 @@ class Server:
             **story.told(),
             "kind": "now",
             "row": story.curve(),
-            "news": story.news[-MOST_NEWS:],
+            "news": story.news,
             "contacts": story.contacts,
             "silent_s": round(silent_s, 2),
             "ended": self._ended,
@@ -131,6 +137,7 @@ class Server:
             "immediate": self._stop.immediate,
         }
         self._viewers.put("now", _json(**now))
+        self._viewers.wake()
 
 
 def _json(**fields: Any) -> str:

@@ -11,7 +11,14 @@ Floats = npt.NDArray[np.float64]
 
 MOST_ROWS = 1200
 """Of the curves; beyond it every other row goes."""
-FAULTS = {"latched", "error", "bad_reading"}
+FAULTS = {
+    "latched": "stopped",
+    "error": "an error",
+    "bad_reading": "a picture makes no sense",
+    "calibration.missed": "the drill is not seen",
+}
+"""Kinds of event that tell of one, and what it is called where the event does not say."""
+CHECK = ("name", "value", "unit", "limit", "verdict", "advice")
 TIP_S = 0.3
 """From the newest place of the tip to a picture into which it is drawn, at most."""
 
@@ -47,8 +54,18 @@ class Story:
             "age_s": None,
             "lap": None,
         }
-        self.scene: dict[str, Any] = {"ring_px": None, "marks_px": {}, "limit_mm": None, "n": 0}
-        """What changes once or twice in a run; ``scene_number`` tells when it has."""
+        self.scene: dict[str, Any] = {
+            "ring_px": None,
+            "marks_px": [{}, {}],
+            "limit_mm": None,
+            "n": 0,
+            "surface": None,
+            "path_mm": None,
+            "setpoints": [],
+            "fit": None,
+            "checks": [],
+        }
+        """What changes seldom; ``scene_number`` tells when it has."""
         self.scene_number = 0
         self.points: dict[str, list[Any]] = {}
         self.news: list[dict[str, Any]] = []
@@ -56,6 +73,8 @@ class Story:
         """Curves: t, depth (deepest, mean), torque, rpm, frame age."""
         self.contacts: list[list[float]] = []
         """t and height in mm, as they were found."""
+        self.stopping = False
+        """Whether the machine is being made safe, or has been."""
 
     def look_through(self, optics: Optics, center_from_tip_mm: Sequence[float]) -> None:
         """From now on places in mm are drawn into the pictures."""
@@ -66,11 +85,6 @@ class Story:
     def over(self) -> bool:
         """Whether the run has told how it ended."""
         return self.now["outcome"] is not None
-
-    @property
-    def stopping(self) -> bool:
-        """Whether the run is making the machine safe, or has done so."""
-        return self.over or any(each["kind"] == "latched" for each in self.news)
 
     def take(self, event: Mapping[str, Any]) -> None:
         """One event, in order. What is not known is passed over: the page of an older record lacks something."""
@@ -86,6 +100,8 @@ class Story:
                 self._tell(event, f"spindle {event['state']}", event.get("reason", ""))
             case "idle":
                 now["idle"] = event["torque"]
+            case "surface":
+                self._surface(event)
             case "trajectory":
                 self._trajectory(event)
             case "ring":
@@ -108,10 +124,18 @@ class Story:
                 self._lap(event)
             case "outcome":
                 self._outcome(event)
+            case "calibration.setpoints":
+                self._setpoints(event)
+            case "calibration.sighting" | "calibration.missed":
+                self._visited(event)
+            case "calibration.fit":
+                self._change(fit={name: event[name] for name in ("model", "rmse_mm", "predicted_rmse_mm")})
+            case "check":
+                self._change(checks=[*self.scene["checks"], {key: event[key] for key in CHECK if key in event}])
+        self.stopping = self.stopping or self.over or event["kind"] == "latched"
         if event["kind"] in FAULTS:
-            self._tell(
-                event, event.get("where") or event.get("reaction") or "a picture makes no sense", event["reason"]
-            )
+            what = event.get("where") or event.get("reaction") or FAULTS[event["kind"]]
+            self._tell(event, what, event["reason"])
 
     def pictured(self, t: float) -> None:
         """Pictures of both eyes were given at ``t``: draw the drill where it was then, by its last three places."""
@@ -161,23 +185,42 @@ class Story:
         if state == "start":
             job = event.get("job", {})
             self._ball_mm = job.get("ball_radius_mm", self._ball_mm)
-            self.scene["limit_mm"] = job.get("thickness_high_mm")
+            self._change(limit_mm=job.get("thickness_high_mm"))
             self._expect(int(job.get("n_points", 0)))
         elif state in ("paused", "lifted"):
             self._tell(event, f"drill {state}" if state == "lifted" else state, event.get("reason", ""))
 
     def _trajectory(self, event: Mapping[str, Any]) -> None:
         self._expect(len(event["fit_mm"]))
-        marks = {name: event[f"{name}_px"] for name in ("bregma", "lambda") if event.get(f"{name}_px")}
-        self.scene["marks_px"] = marks
-        if self._optics is not None:
-            self.scene["ring_px"] = self._drawn(event["fit_mm"])
-        self.scene_number += 1
+        marks = [
+            {name: event[f"{name}{eye}_px"] for name in ("bregma", "lambda") if event.get(f"{name}{eye}_px")}
+            for eye in ("", "_right")
+        ]
+        ring = self.scene["ring_px"] if self._optics is None else self._drawn(event["fit_mm"])
+        self._change(marks_px=marks, ring_px=ring, path_mm=_rounded(event["fit_mm"]))
 
     def _ring(self, event: Mapping[str, Any]) -> None:
         drawn = None if self._optics is None else self._drawn(event["ring_mm"])[1]
-        self.scene["ring_px"] = [event["ring_px"], drawn]
-        self.scene_number += 1
+        self._change(ring_px=[event["ring_px"], drawn])
+
+    def _surface(self, event: Mapping[str, Any]) -> None:
+        self._change(surface={axis: _rounded(event[f"{axis}_mm"]) for axis in ("x", "y", "z")})
+
+    def _setpoints(self, event: Mapping[str, Any]) -> None:
+        self._change(setpoints=[{"at_mm": place, "state": "waiting"} for place in event["targets_mm"]], fit=None)
+
+    def _visited(self, event: Mapping[str, Any]) -> None:
+        """The next setpoint that waits is the one: they are visited in order."""
+        seen = event["kind"] == "calibration.sighting"
+        visited = [dict(each) for each in self.scene["setpoints"]]
+        for each in visited:
+            if each["state"] == "waiting":
+                each["state"] = "seen" if seen else "missed"
+                break
+        self._change(setpoints=visited)
+        self.now["tip_mm"] = event["point_mm"] if seen else None
+        # No circle: how large the ball is in a picture, only the calibration will tell.
+        self.now["tip_px"] = [[event["left_px"]], [event["right_px"]]] if seen else None
 
     def _load(self, event: Mapping[str, Any]) -> None:
         now, tip = self.now, event.get("tip_mm")
@@ -222,11 +265,15 @@ class Story:
         """Room for so many points, of which nothing is known."""
         if n == self.scene["n"]:
             return
-        self.scene["n"] = n
-        self.scene_number += 1
+        self._change(n=n)
         unknown = {"contact": False, "depth": 0.0, "shown": "h", "state": "open", "why": ""}
         for name in ("contact", "depth", "completion", "upper", "shown", "state", "why", "permission"):
             self.points[name] = [unknown.get(name)] * n
+
+    def _change(self, **fields: Any) -> None:
+        """Something of the scene."""
+        self.scene.update(fields)
+        self.scene_number += 1
 
     def _tell(self, event: Mapping[str, Any], what: str, why: str) -> None:
         fault = event["kind"] in FAULTS
@@ -237,6 +284,11 @@ class Story:
         assert self._optics is not None
         left, right = self._optics.project(np.asarray(points_mm, dtype=np.float64))
         return [np.round(eye, 1).tolist() for eye in (left, right)]
+
+
+def _rounded(places_mm: Any) -> Any:
+    """To the micrometre."""
+    return np.round(np.asarray(places_mm, dtype=np.float64), 3).tolist()
 
 
 def finite(value: Any) -> Any:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 
 from fastapi import WebSocket, WebSocketDisconnect
 
-MOST_VIEWERS = 8
+MOST_VIEWERS = 20
 STOP_WORD = "stop"
 MOST_WORDS = 20
 """Which a viewer may say in ``WORDS_S``; a person who hammers on the button says ten in a second."""
@@ -24,10 +24,14 @@ class Viewer:
     def put(self, kind: str, news: News) -> None:
         """In place of older news of this kind."""
         self._waiting[kind] = news
-        self._some.set()
+
+    def wake(self) -> None:
+        """Send what waits."""
+        if self._waiting:
+            self._some.set()
 
     async def take(self) -> Iterable[News]:
-        """Everything that is new, as soon as something is."""
+        """Everything that is new, once it is to be sent."""
         await self._some.wait()
         self._some.clear()
         taken, self._waiting = self._waiting, {}
@@ -50,6 +54,11 @@ class Viewers:
         for viewer in self._viewers:
             viewer.put(kind, news)
 
+    def wake(self) -> None:
+        """Send everybody what waits, all of it at once: each time costs a viewer's computer, and this one, a switch."""
+        for viewer in self._viewers:
+            viewer.wake()
+
     async def serve(self, socket: WebSocket, stop: Callable[[], None], first: Callable[[], str]) -> None:
         """One viewer, until it leaves, says what it may not, or is one too many."""
         await socket.accept()
@@ -60,6 +69,7 @@ class Viewers:
         viewer.put("history", first())
         for kind, news in self._newest.items():
             viewer.put(kind, news)
+        viewer.wake()
         self._viewers.add(viewer)
         try:
             async with asyncio.TaskGroup() as both:

@@ -112,6 +112,10 @@ class Guard:
                 with contextlib.suppress(OSError):
                     self._systemd.send(b"WATCHDOG=1")
 
+    def stopped(self) -> str | None:
+        """Why the supervisor has ended, once its script is over; None while it watches."""
+        return self._last_words() if select.select([self._from], [], [], 0.0)[0] else None
+
     def stop(self) -> None:
         """Let the supervisor stop the motion, whatever this process is doing. From any thread; never waits."""
         with contextlib.suppress(OSError):

@@ -94,7 +94,7 @@ def survey(
 def _center(
     calibration: "Calibration", frame: StereoFrame, finders: Finders, job: Job, tell: Callable[[str, str], None]
 ) -> tuple[dict[str, Floats], Floats, Floats]:
-    """Bregma and lambda in the left picture, for the record, and the ring's centre in both pictures."""
+    """Bregma and lambda in both pictures, for the record, and the ring's centre in both."""
     if job.center_mm is not None:
         tell("center", "as told")
         left, right = calibration.project(np.array([job.center_mm]))
@@ -108,7 +108,9 @@ def _center(
             f"bregma and lambda are {apart_mm:.2f} mm apart, allowed {LANDMARKS_MM[0]:g} to {LANDMARKS_MM[1]:g} mm: "
             "one of them is something else; clear the skull, check light and focus"
         )
-    return {"bregma_px": landmarks_px[0], "lambda_px": landmarks_px[1]}, center_px, right_px
+    marks = {"bregma_px": landmarks_px[0], "lambda_px": landmarks_px[1]}
+    marks |= {"bregma_right_px": landmarks_right_px[0], "lambda_right_px": landmarks_right_px[1]}
+    return marks, center_px, right_px
 
 
 def _landmarks(frame: StereoFrame, finders: Finders, job: Job) -> tuple[Floats, Floats, Floats, Floats]:

@@ -91,7 +91,7 @@ def test_progress_and_record_tell_each_setpoint():
     assert [done for done, _, _ in told] == list(range(1, 17))
     assert all(total == 16 and "px" in line for _, total, line in told)
     kinds = [kind for kind, _ in notes.events]
-    assert kinds == ["calibration.sighting"] * 16 + ["calibration.fit"]
+    assert kinds == ["calibration.setpoints"] + ["calibration.sighting"] * 16 + ["calibration.fit"]
     assert notes.events[-1][1]["model"] == calibration.model
     assert eyes.frames == 48
     assert notes.frames.count("calibration_left") == notes.frames.count("calibration_right") == 16

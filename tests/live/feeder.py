@@ -1,10 +1,10 @@
 """Plays the process that mills: feeds a page from a record, holds a supervisor, and tells what it hears.
 
-    python feeder.py RUN_FOLDER PORT_FD [--withheld] [--pipe] [--until=SECONDS]
+    python feeder.py RUN_FOLDER PORT_FD [--withheld] [--pipe] [--until=SECONDS | --to-the-end]
 
 It says the page's address, and later `asked` when it is asked to stop and `heard: WHY` when its supervisor has stopped
-the motion. With `--withheld` the last points are asked about without a fresh frame; with `--pipe`
-PORT_FD takes the place of the supervisor's pipe.
+the motion. It leaves out that its record was stopped, unless it plays it to the end and leaves. With `--withheld` the
+last points are asked about without a fresh frame; with `--pipe` PORT_FD takes the place of the supervisor's pipe.
 """
 
 import signal
@@ -49,20 +49,22 @@ def ask(*_: object) -> None:
 def main() -> None:
     folder, port, *wishes = sys.argv[1:]
     until_s = min((float(wish[8:]) for wish in wishes if wish.startswith("--until=")), default=float("inf"))
+    whole = "--to-the-end" in wishes
     run = read_run(Path(folder))
     calibration = Calibration.load(run.folder / "calibration.toml", None)
     clock = SystemClock()
-    signal.signal(signal.SIGINT, ask)
+    # Whoever reads the pipe sees what is pressed; this goes on.
+    signal.signal(signal.SIGINT, signal.SIG_IGN if "--pipe" in wishes else ask)
     # A pipe is no port; the supervisor that is not told to stop writes nothing.
     with Guard(StopPath(int(port), SCRIPT), clock, silence_s=SILENCE_S) as guard, Page() as page:
         print(page.address, flush=True)
-        page.header(title="rehearsal", calibration=str(run.folder / "calibration.toml"))
+        page.header(title="rehearsal", command="run", calibration=str(run.folder / "calibration.toml"))
         page.hand_over_stop(int(port) if "--pipe" in wishes else guard.stop_end)
         told = RecordClock()
         shown = Shown(NullRecorder(), page, told, calibration)
         try:
             for event in run.events:
-                if event["kind"] == "latched" or event["t"] > until_s:
+                if (event["kind"] == "latched" and not whole) or event["t"] > until_s:
                     break
                 told.t = event["t"]
                 if event["kind"] == "frame":
@@ -77,7 +79,7 @@ def main() -> None:
                     shown.event(
                         "asked", point=point, bite_mm=0.05, frame_age_s=0.4, depth_mm=0.1, reason="no fresh frame"
                     )
-            while True:
+            while not whole:
                 guard.beat()
                 clock.sleep_s(0.01)
         except Asked:

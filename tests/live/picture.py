@@ -1,34 +1,51 @@
-"""Draw the page for the README.
+"""Draw the pages for the documentation.
 
-python tests/live/picture.py docs/pictures/live.png [RUN_FOLDER [SECONDS]]
+python tests/live/picture.py docs/pictures
 
-Feeds a page from a record, or from a short run of its own, up to a time in the record, and takes its picture.
+Mills a while on the virtual clock and feeds a page from that record; then calibrates and examines a virtual bench, each
+with its page. In a real browser, some minutes.
 """
 
+import os
 import sys
 import tempfile
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parent.parent / "cli"))
 
-from browser import tab
+from browser import BRIGHT, DESKTOP_PX, Tab, tab
+from processes import started
 from rehearsal import rehearsed
-from test_page import BRIGHT, fed
+from test_page import fed
 
-WIDTH_PX, HEIGHT_PX = 1440, 900
+LAPS = 9
+START_S = 600.0
+SEEN = "scene.setpoints.filter(each => each.state === 'seen').length"
 
 
 def main() -> None:
-    out, *rest = sys.argv[1:]
+    out = Path(sys.argv[1]).resolve()
     with tempfile.TemporaryDirectory() as scratch, tab() as browser:
-        folder = Path(rest[0]) if rest else rehearsed(Path(scratch) / "run").folder
-        until = [f"--until={rest[1]}"] if len(rest) > 1 else ["--withheld"]
-        browser.size(WIDTH_PX, HEIGHT_PX)
-        with fed(folder, *until) as bench:
+        os.chdir(scratch)
+        browser.size(DESKTOP_PX)
+        run = rehearsed(Path("run"), LAPS)
+        last_s = next(run.of_kind("latched"))["t"]
+        with fed(run.folder, f"--until={last_s}") as bench:
             browser.open(bench.address)
-            browser.until(f"now && document.getElementById('stop').disabled === false && {BRIGHT}(1) > 10")
-            browser.until("now.t > 0 && now.silent_s > 0.4")
-            browser.picture(Path(out))
+            browser.until(f"document.getElementById('stop').disabled === false && {BRIGHT}(1) > 10", START_S)
+            browser.until("now.t > 0 && now.silent_s > 0.4", START_S)
+            browser.picture(out / "live.png")
+        watched(browser, "calibrate", f"{SEEN} === 7", out / "live-calibrate.png")
+        watched(browser, "doctor", f"{SEEN} === 3", out / "live-doctor.png")
+
+
+def watched(browser: Tab, command: str, moment: str, picture: Path) -> None:
+    with started(command, "--emulate", "--live") as running:
+        assert running.comes_to("open ", START_S), running.said
+        browser.open(running.out.split()[1])
+        browser.until(f"{moment} && now.tip_px", START_S)
+        browser.picture(picture)
 
 
 if __name__ == "__main__":

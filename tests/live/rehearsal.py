@@ -12,7 +12,7 @@ from milling.record import Run, read_run
 LAPS = 3
 
 
-def rehearsed(folder: Path) -> Run:
+def rehearsed(folder: Path, most_laps: int = LAPS) -> Run:
     """Milled for some laps, then stopped by a person; with its calibration."""
     laps: list[int] = []
     rig = virtual_rig()
@@ -21,7 +21,7 @@ def rehearsed(folder: Path) -> Run:
             folder,
             SHORT_JOB,
             progress=lambda now: laps.append(1) if now.completion else None,
-            stop_requested=lambda: len(laps) >= LAPS,
+            stop_requested=lambda: len(laps) >= most_laps,
         )
         rig.calibration.save(folder / "calibration.toml")
     finally:

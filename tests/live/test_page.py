@@ -17,7 +17,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from browser import CHROMIUM, Tab, tab
+from browser import BRIGHT, CHROMIUM, DESKTOP_PX, TABLET_PX, Tab, tab
 from rehearsal import rehearsed
 
 from live.player import Player
@@ -37,7 +37,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Tab]:
     with tab() as opened:
-        opened.size(1440, 900)
+        opened.size(DESKTOP_PX)
         yield opened
 
 
@@ -86,13 +86,13 @@ def fed(folder: Path, *words: str) -> Iterator[Bench]:
         os.close(far)
 
 
-BRIGHT = """(k => {
-    const c = document.getElementById(`eye${k}`), d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+PAINTED = """(c => {
+    const d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
     let sum = 0;
-    for (let i = 0; i < d.length; i += 4004) sum += d[i];
-    return sum / (d.length / 4004);
-})"""
-"""How bright a picture is on the average."""
+    for (let i = 3; i < d.length; i += 400) sum += d[i] > 0;
+    return sum / (d.length / 400);
+})(document.getElementById("hills"))"""
+"""Which share of the surface's canvas is not empty."""
 
 
 def test_both_streams_and_the_ring_are_there_within_two_seconds(run: Run, browser: Tab) -> None:
@@ -107,6 +107,35 @@ def test_both_streams_and_the_ring_are_there_within_two_seconds(run: Run, browse
         assert browser.complaints == []
 
 
+def test_what_is_unknown_is_hatched_and_the_surface_is_there_with_the_path(run: Run, browser: Tab) -> None:
+    """Before the first picture is read."""
+    planned = next(run.of_kind("trajectory"))
+    with fed(run.folder, f"--until={planned['t']}") as bench:
+        browser.open(bench.address)
+        browser.until("scene.path_mm.length === 16")
+        browser.until("document.querySelectorAll('#gauge path[fill=\"url(#hatch)\"]').length === 16")
+        assert browser.ask("document.getElementById('rest').textContent") == "0 of 16 at rest, 16 not seen yet"
+        assert browser.ask("scene.marks_px.map(eye => Object.keys(eye).join())") == ["bregma,lambda"] * 2
+        browser.until(f"{PAINTED} > 0.1")
+        assert browser.ask("document.getElementById('eye0').getAttribute('aria-label')")
+        before = browser.ask("document.getElementById('hills').toDataURL()")
+        browser.ask("document.getElementById('hills').focus()")
+        browser.key("ArrowRight")
+        assert browser.ask("document.getElementById('hills').toDataURL()") != before, "the arrow keys turn it"
+
+
+def test_a_run_is_followed_to_its_end(run: Run, browser: Tab) -> None:
+    with fed(run.folder, "--to-the-end") as bench:
+        browser.open(bench.address)
+        browser.until("document.getElementById('stage').textContent === 'Aborted'")
+        browser.until("document.getElementById('stop-how').textContent === 'the run has ended'")
+        assert browser.ask("document.getElementById('stop').disabled") is True
+        assert "stopped by a person" in browser.ask("document.getElementById('banner').innerText")
+        depths = [point["depth_mm"] for point in next(run.of_kind("outcome"))["points"]]
+        assert browser.ask("now.points.depth") == depths
+        assert browser.complaints == []
+
+
 def test_a_point_that_is_withheld_says_why_in_words(run: Run, browser: Tab) -> None:
     with fed(run.folder, "--withheld") as bench:
         browser.open(bench.address)
@@ -114,6 +143,15 @@ def test_a_point_that_is_withheld_says_why_in_words(run: Run, browser: Tab) -> N
         line = "[...document.querySelectorAll('#why li')].find(li => li.innerText.includes('no fresh frame')).innerText"
         assert "points 3, 4, 9" in browser.ask(line)
         assert "no fresh frame" in browser.ask("document.querySelectorAll('#gauge title')[2].textContent")
+        stop = "document.getElementById('stop').getBoundingClientRect()"
+        try:
+            for size_px in (TABLET_PX, DESKTOP_PX):
+                browser.size(size_px)
+                assert browser.ask("document.documentElement.scrollWidth <= innerWidth"), "nothing hangs over the edge"
+                browser.ask("scrollTo(0, document.body.scrollHeight)")
+                assert browser.ask(f"{stop}.top >= 0 && {stop}.bottom <= innerHeight"), "the button stays in sight"
+        finally:
+            browser.size(DESKTOP_PX)
 
 
 @pytest.mark.parametrize("frozen", [False, True], ids=["", "with the process that mills frozen"])
@@ -125,7 +163,7 @@ def test_stop_reaches_the_supervisor_in_time(run: Run, browser: Tab, frozen: boo
         if frozen:
             bench.process.send_signal(signal.SIGSTOP)
         browser.ask("document.getElementById('stop').focus()")
-        for press in (lambda: browser.key("Escape"), lambda: browser.key("Enter"), lambda: browser.press("#stop")):
+        for press in (lambda: browser.key("Escape"), lambda: browser.key("Enter"), lambda: browser.click("#stop")):
             took_s = []
             for _ in range(5):
                 pressed_s = time.monotonic()
@@ -176,7 +214,12 @@ def test_a_record_plays_in_the_same_page(run: Run, browser: Tab) -> None:
             browser.ask("document.getElementById('slider').focus()")
             browser.key("ArrowRight")
             browser.until("at === 1")
-            browser.ask("seek(record.moments.length - 1)")
+            moments = browser.ask("record.moments.length")
+            browser.page.locator("#slider").fill(str(moments // 2))
+            browser.until(f"at === {moments // 2}")
+            assert browser.ask("rows.length > 2 && now.t < record.moments.at(-1).t && now.points.depth.length === 16")
+            browser.until(f"{PAINTED} > 0.1")
+            browser.page.locator("#slider").fill(str(moments - 1))
             browser.until(f"{BRIGHT}(0) > 10 && {BRIGHT}(1) > 10")
             assert "stopped by a person" in browser.ask("document.getElementById('banner').innerText")
             assert browser.ask("getComputedStyle(document.getElementById('stop')).display") == "none"

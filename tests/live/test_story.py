@@ -76,6 +76,53 @@ def test_the_drill_is_drawn_where_it_was_when_the_picture_was_taken() -> None:
     assert story.told()["tip_px"] is None
 
 
+def test_bregma_and_lambda_are_drawn_in_both_pictures() -> None:
+    story = started()
+    told = {"bregma_px": [1, 2], "lambda_px": [3, 4], "bregma_right_px": [5, 6], "lambda_right_px": [7, 8]}
+    story.take(event("trajectory", fit_mm=[[0.00049, 1.0, 2.0]] * 4, **told))
+    assert story.scene["marks_px"] == [{"bregma": [1, 2], "lambda": [3, 4]}, {"bregma": [5, 6], "lambda": [7, 8]}]
+    assert story.scene["path_mm"][0] == [0.0, 1.0, 2.0]
+    assert story.scene["ring_px"] is None, "without a calibration nobody knows where it is in the pictures"
+
+
+def test_the_surface_is_kept_to_the_micrometre() -> None:
+    story = started()
+    number = story.scene_number
+    story.take(
+        event("surface", x_mm=np.array([0.0, 0.1]), y_mm=[1.0, 2.0], z_mm=[[0.12345, 0.2], [0.3, 0.4]], matches=9)
+    )
+    assert story.scene["surface"] == {"x": [0.0, 0.1], "y": [1.0, 2.0], "z": [[0.123, 0.2], [0.3, 0.4]]}
+    assert story.scene_number == number + 1
+
+
+def test_setpoints_are_visited_in_order_and_one_that_is_not_seen_is_a_fault() -> None:
+    story = Story()
+    story.take(event("calibration.setpoints", targets_mm=[[0, 0, 0], [1, 0, 0], [2, 0, 0]]))
+    seen = {"point_mm": [0, 0, 0.5], "left_px": [10, 20], "right_px": [30, 40]}
+    story.take(event("calibration.sighting", target_mm=[0, 0, 0], **seen))
+    assert story.told()["tip_px"] == [[[10, 20]], [[30, 40]]]
+    story.take(event("calibration.hidden", target_mm=[1, 0, 0], reason="glare"))
+    story.take(event("calibration.missed", target_mm=[1, 0, 0], reason="seen in 0 of 4 left pictures"))
+    assert [each["state"] for each in story.scene["setpoints"]] == ["seen", "missed", "waiting"]
+    assert story.told()["tip_px"] is None, "where it was is not where it is"
+    told = ("the drill is not seen", "seen in 0 of 4 left pictures", True)
+    assert [(each["what"], each["why"], each["fault"]) for each in story.news] == [told]
+    assert not story.stopping
+    story.take(
+        event("calibration.fit", model="affine", rmse_mm=0.03, predicted_rmse_mm=0.04, left_out=[], outliers_mm=[])
+    )
+    assert story.scene["fit"] == {"model": "affine", "rmse_mm": 0.03, "predicted_rmse_mm": 0.04}
+
+
+def test_checks_are_told_as_they_come() -> None:
+    story = Story()
+    check = {"name": "motion: homes", "value": 1.0, "unit": "mm", "limit": "at most 2", "verdict": "pass"}
+    story.take(event("check", **check))
+    story.take(event("check", **check | {"verdict": "fail", "advice": "look"}))
+    assert story.scene["checks"] == [check, {**check, "verdict": "fail", "advice": "look"}]
+    assert not story.stopping, "an examination goes on after a check that failed"
+
+
 def test_curves_stay_bounded() -> None:
     story = started()
     for number in range(5000):
