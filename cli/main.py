@@ -22,6 +22,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "stop": ("cli.stop", "Stop motion and spindle of a rig, whoever runs it."),
     "devices": ("cli.devices", "List what is plugged in, ask who it is, write a rig file of it."),
     "doctor": ("cli.doctor", "Open, identify, read back and measure each device of a rig."),
+    "annotate": ("cli.annotate", "Label your own pictures in the browser, alone or in twos."),
     "dataset": ("cli.dataset", "Make data sets: rendered, from photographs, or from a rig."),
     "train": ("cli.train", "Train a network on rendered pictures."),
     "evaluate": ("cli.train", "Measure a network on specimens and rigs it never saw."),
