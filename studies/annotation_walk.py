@@ -20,12 +20,11 @@ import time
 import urllib.request
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 from urllib.parse import quote, urlsplit
 
 import numpy as np
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from drivers.errors import MillError
@@ -47,22 +46,11 @@ Mill = Callable[..., None]
 class Browser:
     """What a browser does with the link of `mill annotate`, without the browser."""
 
-    def __init__(self, address: str) -> None:
-        """Trade the link's token for the cookie, and sit down at the desk."""
-        jar = http.cookiejar.CookieJar()
-        nowhere = urllib.request.ProxyHandler({})
-        self._get = urllib.request.build_opener(nowhere, urllib.request.HTTPCookieProcessor(jar)).open
-        self._host = urlsplit(address).netloc
-        with self._get(address, timeout=ANSWER_S):
-            cookie = "; ".join(f"{each.name}={each.value}" for each in jar)
-        self._wire = connect(
-            f"ws://{self._host}/desk",
-            origin=Origin(f"http://{self._host}"),
-            additional_headers={"Cookie": cookie},
-            proxy=None,
-            max_size=None,
-        )
-        self.album: dict[str, Any] = json.loads(self._wire.recv(ANSWER_S))
+    def __init__(self, get: Callable[[str], bytes], wire: ClientConnection) -> None:
+        """``get`` brings what is at a path; the desk is at the far end of ``wire``."""
+        self._get = get
+        self._wire = wire
+        self.album: dict[str, Any] = json.loads(wire.recv(ANSWER_S))
 
     def ask(self, **message: Any) -> dict[str, Any]:
         """Say one thing, and hear the answer.
@@ -78,20 +66,25 @@ class Browser:
 
     def picture(self, name: str) -> bytes:
         """A picture as the page shows it."""
-        with self._get(f"http://{self._host}/pictures/{quote(name)}", timeout=ANSWER_S) as answer:
+        return self._get(f"/pictures/{quote(name)}")
+
+
+@contextlib.contextmanager
+def browser_at(address: str) -> Iterator[Browser]:
+    """Trade the link's token for the cookie, and sit down at the desk."""
+    jar = http.cookiejar.CookieJar()
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}), urllib.request.HTTPCookieProcessor(jar))
+    host = urlsplit(address).netloc
+
+    def get(path: str) -> bytes:
+        with opener.open(f"http://{host}{path}", timeout=ANSWER_S) as answer:
             return bytes(answer.read())
 
-    def close(self) -> None:
-        """Leave."""
-        self._wire.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+    get(address.partition(host)[2])
+    cookie = {"Cookie": "; ".join(f"{each.name}={each.value}" for each in jar)}
+    origin = Origin(f"http://{host}")
+    with connect(f"ws://{host}/desk", origin=origin, additional_headers=cookie, proxy=None, max_size=None) as wire:
+        yield Browser(get, wire)
 
 
 @contextlib.contextmanager
@@ -141,14 +134,14 @@ def walk(photographs: Path, out: Path, mill: Mill) -> dict[str, Any]:
     shutil.copytree(photographs / IMAGES, album / IMAGES)
     labels = {each.file.relative_to(photographs / IMAGES).as_posix(): _label(each) for each in known}
     half = dict(list(labels.items())[: len(labels) // 2])
-    with page_of(album, ONE, "--task", TASK) as (process, address), Browser(address) as browser:
+    with page_of(album, ONE, "--task", TASK) as (process, address), browser_at(address) as browser:
         took_s = label_all(browser, half)
         process.kill()
-    with page_of(album, ONE, "--task", TASK) as (_, address), Browser(address) as browser:
+    with page_of(album, ONE, "--task", TASK) as (_, address), browser_at(address) as browser:
         kept = sum(picture["settled"] for picture in browser.album["pictures"])
         took_s += label_all(browser, labels)
     again = {name: _label(each, OFF_PX) for name, each in zip(labels, known, strict=True)}
-    with page_of(album, TWO, "--task", TASK) as (_, address), Browser(address) as browser:
+    with page_of(album, TWO, "--task", TASK) as (_, address), browser_at(address) as browser:
         label_all(browser, dict(list(again.items())[:LABELLED_TWICE]))
     mill("annotate", album, "--compare", "--json", out / "compare.json")
     mill("annotate", album, "--annotator", ONE, "--export")
