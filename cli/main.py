@@ -24,7 +24,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("cli.doctor", "Open, identify, read back and measure each device of a rig."),
     "annotate": ("cli.annotate", "Label your own pictures in the browser, alone or in twos."),
     "dataset": ("cli.dataset", "Make data sets: rendered, from photographs, or from a rig."),
-    "train": ("cli.train", "Train a network on rendered pictures."),
+    "train": ("cli.train", "Train a network on rendered pictures or on your own."),
     "evaluate": ("cli.train", "Measure a network on specimens and rigs it never saw."),
     "experiment": ("cli.experiment", "Repeat the paper's experiments on virtual rigs."),
     "live": ("cli.live", "Play a recorded run in the browser."),

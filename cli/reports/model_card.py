@@ -7,7 +7,10 @@ from typing import Any
 from cli.reports.template import filled
 
 TOLD_FIRST = {
-    "landmarks": ("mean_mm", "median_mm", "worst_mm", "along_midline_mean_mm", "across_midline_mean_mm", "swapped"),
+    "landmarks": (
+        *("mean_mm", "median_mm", "worst_mm", "along_midline_mean_mm", "across_midline_mean_mm"),
+        *("bregma_missed", "lambda_missed", "swapped"),
+    ),
     "tip": ("tip_rmse_px", "tip_median_px", "tip_worst_px", "tip_missed", "tip_invented"),
     "completion": ("rmse", "upper_bound_coverage", "penetration_recall", "penetration_false_alarm"),
 }
@@ -60,7 +63,7 @@ def _limits(entry: Mapping[str, Any], name: str) -> list[str]:
         )
     if n:
         limits.append(
-            f"What was not seen among {n} samples may still happen in up to {min(1.0, 3 / n):.0%} of others. The 95 % "
+            f"What was not seen among {n} samples may still happen in up to {1 - 0.05 ** (1 / n):.0%} of others. The 95 % "
             "intervals are over samples as if each were by itself; neighbours of one animal make them too narrow."
         )
     if "mean_mm" in entry["held_out"]:
