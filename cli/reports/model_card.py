@@ -62,9 +62,10 @@ def _limits(entry: Mapping[str, Any], name: str) -> list[str]:
             "anything about tissue."
         )
     if n:
+        unseen = 1 - 0.05 ** (1 / n)
         limits.append(
-            f"What was not seen among {n} samples may still happen in up to {1 - 0.05 ** (1 / n):.0%} of others. The 95 % "
-            "intervals are over samples as if each were by itself; neighbours of one animal make them too narrow."
+            f"What was not seen among {n} samples may still happen in up to {unseen:.0%} of others. The 95 % intervals "
+            "are over samples as if each were by itself; neighbours of one animal make them too narrow."
         )
     if "mean_mm" in entry["held_out"]:
         limits.append("Millimetres take the distance from bregma to lambda for 4.2 mm in every picture.")
