@@ -62,7 +62,7 @@ class Desk:
         """``tasks`` tell what is asked of every picture.
 
         Raises:
-            ConfigError: the album has no pictures.
+            ConfigError: the album has no pictures, or another annotator's labels are damaged.
         """
         self._album = album
         self._notebook = notebook
@@ -73,6 +73,7 @@ class Desk:
         self._read: dict[str, tuple[float, Labels]] = {}
         self.picture: Callable[[str], Image] = lru_cache(KEPT_PICTURES)(self._picture)
         """By its name, which must be ``known``."""
+        self._compared([])
 
     def known(self, name: str) -> bool:
         """Whether it is one of the album's pictures."""

@@ -1,6 +1,7 @@
 """`mill annotate`: a lab's own pictures labelled in the browser, compared, and exported for `mill dataset import`."""
 
 import contextlib
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ WORST = 10
 )
 @click.option(
     "--weights",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
     multiple=True,
     metavar="FILE",
     help="Networks to suggest labels, in place of mill's own.",
@@ -101,16 +102,18 @@ def _compare(album: Path, annotators: tuple[str, ...], json_file: Path | None) -
     rows = summary(found)
     if not rows:
         raise ConfigError(f"{album}: {', '.join(labels)} have labelled no picture in common; go on with the same ones")
+    # Where the results go to stdout, that is for machines alone.
+    say = partial(click.echo, err=str(json_file) == "-")
     for line in columns(
         ["", "between", "n", "mean px", "worst", "mean mm", "worst", "along", "across", "one alone"],
         [_row(row) for row in rows],
     ):
-        click.echo(line)
+        say(line)
     ranked = sorted((each for each in found if each.px is not None), key=lambda each: -(each.mm or each.px or 0.0))
-    click.echo("\nfarthest apart:")
+    say("\nfarthest apart:")
     for each in ranked[:WORST]:
         mm = "" if each.mm is None else f" = {each.mm:.3f} mm"
-        click.echo(f"  {each.picture}: {each.what} {each.px:.1f} px{mm} ({' and '.join(each.between)})")
+        say(f"  {each.picture}: {each.what} {each.px:.1f} px{mm} ({' and '.join(each.between)})")
     if json_file:
         write_json(json_file, "annotate compare", seed=None, summary=rows, differences=as_json(found))
 
@@ -128,7 +131,10 @@ def _export(album: Path, annotators: tuple[str, ...], json_file: Path | None) ->
 
     done = export(album, annotators)
     for task, count in done.rows.items():
-        click.echo(f"{task}: {count} pictures; next: mill dataset import {album} --task {task} --out SET")
+        click.echo(
+            f"{task}: {count} pictures; next: mill dataset import {album} --task {task} --out SET",
+            err=str(json_file) == "-",
+        )
     for words in done.unsettled:
         click.echo(f"left out: {words}", err=True)
     if json_file:
