@@ -9,23 +9,18 @@ import tempfile
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parent.parent / "live"))
 
 from bench_album import bench_album
-from browser import tab
-from test_annotate_page import ANY_S, SAVED, mouse, opened, press
+from desk_tab import SAVED, opened, tab
 
 from studies.annotation_walk import browser_at, page_of
-
-WIDTH_PX, HEIGHT_PX = 1440, 900
 
 
 def main() -> None:
     out, *taste = sys.argv[1:]
-    with tempfile.TemporaryDirectory() as scratch, tab() as browser:
+    with tempfile.TemporaryDirectory() as scratch, tab(dark="dark" in taste) as browser:
         album = Path(scratch) / "album"
         mice = bench_album(album, 3)
-        browser.size(WIDTH_PX, HEIGHT_PX, dark="dark" in taste)
         off = ((3.0, -2.0), (-1.5, 4.0))
         with page_of(album, "ben") as (_, address), browser_at(address) as other:
             for mouse_, by in zip(mice, off, strict=False):
@@ -39,18 +34,18 @@ def main() -> None:
             opened(browser, address)
             for mouse_ in mice[:2]:
                 browser.ask(f"go(album.pictures.findIndex(each => each.name === {json.dumps(mouse_.name)}))")
-                browser.until(f"bitmap !== null && here().name === {json.dumps(mouse_.name)}", ANY_S)
-                press(browser, "b")
-                mouse(browser, mouse_.bregma)
-                mouse(browser, mouse_.lambda_)
+                browser.until(f"bitmap !== null && here().name === {json.dumps(mouse_.name)}")
+                browser.press("b")
+                browser.draw(mouse_.bregma)
+                browser.draw(mouse_.lambda_)
                 ring = {**mouse_.ring, "reference": mouse_.name.replace(".png", "-before.png")}
                 ring["completion"] = [None] * len(mouse_.completion)
-                press(browser, "r")
+                browser.press("r")
                 browser.ask(f"shape({json.dumps(ring)})")
-                press(browser, "p", "Enter")
-                browser.until(f"{SAVED} && here().settled && ring().origin === 'accepted'", ANY_S)
+                browser.press("p", "Enter")
+                browser.until(f"{SAVED} && here().settled && ring().origin === 'accepted'")
             browser.ask("[3, 4, 5].forEach(k => paint(k, null)); spot = 8; zoom(2.6)")
-            browser.until(f"{SAVED} && here().settled", ANY_S)
+            browser.until(f"{SAVED} && here().settled")
             browser.ask("pointer = [label().points.bregma.x_px, label().points.bregma.y_px]; draw()")
             browser.until("!drawn")
             browser.picture(Path(out))
