@@ -7,7 +7,7 @@ import click
 
 from cli.bars import counter, progress_bars
 from cli.options import BenchChoice, on_a_bench
-from cli.train import seed_option, task_argument
+from cli.train import TASKS, seed_option, task_argument
 
 SPLITS = ("train", "validation", "test")
 
@@ -55,23 +55,26 @@ def render(task: str, out: Path, seed: int, specimens: Path | None) -> None:
 @dataset.command("import")
 @click.argument("photographs", metavar="DIR", type=click.Path(path_type=Path, exists=True, file_okay=False))
 @out_option
+@click.option("--task", type=click.Choice(TASKS), help="Whose labels to take. [default: the first there are]")
 @click.option(
     "--split",
     type=click.Choice(SPLITS),
     help="Put all of them there, as with photographs kept for judging. [default: blocks of consecutive numbers]",
 )
-def import_(photographs: Path, out: Path, split: str | None) -> None:
-    """Read a folder of photographs: DIR/images and DIR/keypoints.csv.
+def import_(photographs: Path, out: Path, task: str | None, split: str | None) -> None:
+    """Read an album: DIR/images, and DIR/keypoints.csv or DIR/rings.csv, as `mill annotate` writes them.
 
-    The table has a row per picture: image,bregma_x_px,bregma_y_px,lambda_x_px,lambda_y_px (or image,tip_x_px,tip_y_px),
-    in px from the top left; a point that is not to be seen is left empty. The photographs themselves stay as they are.
+    keypoints.csv has a row per picture: image,bregma_x_px,bregma_y_px,lambda_x_px,lambda_y_px and/or tip_x_px,tip_y_px,
+    in px from the top left. A point that is not to be seen is left empty; "?" is one that nobody has looked for.
+    rings.csv has a row per ring: image,center_x_px,center_y_px,radius_px,ball_px,reference,completion (0 to 1 at each
+    point, "?" where unknown). The photographs themselves stay as they are.
     """
     from studies.photographs import bring_in
 
     with progress_bars() as bars:
-        task, counts = bring_in(photographs, out, only=split, progress=counter(bars, "photographs"))
+        taken, counts = bring_in(photographs, out, task, only=split, progress=counter(bars, "photographs"))
     parts = ", ".join(f"{name} {count}" for name, count in counts.items())
-    click.echo(f"{out}: {task}; {parts}")
+    click.echo(f"{out}: {taken}; {parts}")
 
 
 @dataset.command()

@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
@@ -18,6 +19,7 @@ LOG_STEPS = 250
 """Where nobody watches a bar, a line is printed this often."""
 WORST = 12
 """Cases in the report."""
+ENDS = ("low", "high")
 TASKS = ("tip", "landmarks", "completion")
 
 task_argument = click.argument("task", metavar="TASK", type=click.Choice(TASKS))
@@ -30,7 +32,7 @@ seed_option = click.option("--seed", type=click.IntRange(0), default=0, show_def
     "--data",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="A data set, as `mill dataset` makes them, or a folder of photographs with keypoints.csv. "
+    help="A data set, as `mill dataset` makes them, or an album of photographs with keypoints.csv or rings.csv. "
     "[default: pictures rendered into a folder beside --out]",
 )
 @click.option("--recipe", type=click.Choice(["default", "paper"]), default="default", show_default=True)
@@ -45,10 +47,11 @@ def train(task: str, data: Path | None, recipe: str, seed: int, out: Path) -> No
 
     Training resumes where it was killed: from FILE.checkpoint, which is removed at the end.
     """
+    from cli.reports.model_card import write_model_card
     from cli.reports.train_report import write_train_report
     from studies.datasets import SPLITS, ensure, read_card
     from studies.photographs import ensure_in, holds_photographs
-    from vision.runtime import Network
+    from vision.runtime import Network, read_manifest
     from vision.samples import load_data
     from vision.tasks import task_named
     from vision.training import finish
@@ -58,8 +61,8 @@ def train(task: str, data: Path | None, recipe: str, seed: int, out: Path) -> No
     settings = learned.recipes[recipe]
     if data and not holds_photographs(data) and not all((data / split).is_dir() for split in SPLITS):
         raise ConfigError(
-            f"{data}: neither a data set (folders {', '.join(SPLITS)}) nor photographs (keypoints.csv); make one with "
-            "`mill dataset`, or leave --data out"
+            f"{data}: neither a data set (folders {', '.join(SPLITS)}) nor an album (keypoints.csv, rings.csv); make "
+            "one with `mill dataset`, or leave --data out"
         )
     out.parent.mkdir(parents=True, exist_ok=True)
     folder = data if data and not holds_photographs(data) else out.with_suffix(".data")
@@ -93,10 +96,14 @@ def train(task: str, data: Path | None, recipe: str, seed: int, out: Path) -> No
     about = {**trained, "version": version("micromill"), "data": read_card(folder).get("splits", {})}
     figures = finish(learned, network, out, parts["validation"], parts["test"], about)
     checkpoint.unlink(missing_ok=True)
-    console.print(_table(f"{out}, on the test pictures of {folder}", figures))
+    told = read_manifest(out.parent)[out.name]
+    console.print(_table(f"{out}, on the test pictures of {folder}", figures, told["held_out_95"]))
     worst = learned.worst(Network(out), parts["test"], WORST)
     write_train_report(out.with_suffix(".html"), f"{task} network", trained, figures, history, worst)
     console.print(f"report: {out.with_suffix('.html')}")
+    card = out.with_suffix(".card.html")
+    write_model_card(card, out.name, told)
+    console.print(f"model card: {card}")
 
 
 @click.command()
@@ -135,6 +142,7 @@ def evaluate(
     from vision.runtime import WEIGHTS, Network
     from vision.samples import load_data
     from vision.tasks import task_named
+    from vision.training import judged
 
     if data and specimens:
         raise click.UsageError("--data and --specimens exclude each other; give one")
@@ -142,7 +150,7 @@ def evaluate(
     learned = task_named(task)
     photographs = data is not None and holds_photographs(data)
     if data and photographs:
-        _require_unseen(network.path, data)
+        _require_unseen(network.path, data, task)
     console = Console(stderr=True)
     started_s = time.monotonic()
     with tempfile.TemporaryDirectory() as scratch:
@@ -152,8 +160,9 @@ def evaluate(
                 bring_in(data, folder, task, only="test", progress=counter(progress, "photographs"))
             if data is None:
                 ensure(task, "test", folder, seed=seed, specimens=specimens, progress=counter(progress, "specimens"))
-        figures = learned.judge(network, load_data(folder, "test", task, learned.arrays))
-    console.print(_table(f"{network.path.name}, on {data or 'specimens and rigs that training never saw'}", figures))
+        figures, intervals = judged(learned, network, load_data(folder, "test", task, learned.arrays))
+    title = f"{network.path.name}, on {data or 'specimens and rigs that training never saw'}"
+    console.print(_table(title, figures, intervals))
     if json_file:
         write_json(
             json_file,
@@ -162,24 +171,30 @@ def evaluate(
             weights_sha256=network.sha256,
             duration_s=time.monotonic() - started_s,
             **{name: value if math.isfinite(value) else None for name, value in figures.items()},
+            **{
+                f"{name}_{end}": value
+                for name, both in intervals.items()
+                for end, value in zip(ENDS, both, strict=True)
+            },
         )
 
 
-def _require_unseen(weights: Path, album: Path) -> None:
+def _require_unseen(weights: Path, album: Path, task: str) -> None:
     """Weights are not measured on what they learnt from."""
     from studies.photographs import digest
     from vision.runtime import read_manifest
 
     learnt = read_manifest(weights.parent).get(weights.name, {}).get("data", {}).get("train", {})
-    if learnt.get("table_sha256") == digest(album):
+    if learnt.get("table_sha256") == digest(album, task):
         raise ConfigError(
             f"{album}: {weights} learnt from these photographs; measure on others, or on those that were kept for "
             f"judging: --data {weights.with_suffix('.data')}"
         )
 
 
-def _table(title: str, figures: dict[str, float]) -> Table:
-    table = Table("figure", "value", title=title)
+def _table(title: str, figures: dict[str, float], intervals: Mapping[str, Sequence[float]]) -> Table:
+    table = Table("figure", "value", "95 %", title=title)
     for name, value in figures.items():
-        table.add_row(name, f"{value:.4g}")
+        between = " to ".join(f"{end:.3g}" for end in intervals.get(name, ()))
+        table.add_row(name, f"{value:.4g}", between)
     return table

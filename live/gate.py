@@ -34,9 +34,10 @@ POLICY = (
 class Gate:
     """An ASGI application in front of another."""
 
-    def __init__(self, app: App, port: int) -> None:
-        """``port`` of the loopback."""
+    def __init__(self, app: App, port: int, *, next_step: str = "mill stop --rig FILE stops the machine") -> None:
+        """``port`` of the loopback; ``next_step`` is told to whoever brings no good link."""
         self._app = app
+        self._next_step = next_step
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
         self._token: str | None = secrets.token_urlsafe(24)
         self._key = secrets.token_urlsafe(24)
@@ -77,11 +78,7 @@ class Gate:
         if scope["type"] == "http" and scope["path"] == "/" and self._trade(scope):
             key = f"{self._cookie}={self._key}; Path=/; Max-Age={COOKIE_AGE_S}; HttpOnly; SameSite=Strict"
             return 200, "", [(b"set-cookie", key.encode())]
-        return (
-            403,
-            "the link is not right, or was opened in another browser; mill stop --rig FILE stops the machine",
-            [],
-        )
+        return 403, f"the link is not right, or was opened in another browser; {self._next_step}", []
 
     def _known(self, scope: Scope) -> bool:
         for line in _values(scope, b"cookie"):

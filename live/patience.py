@@ -48,13 +48,13 @@ class PatientSocket(WebSocketsSansIOProtocol):
         self.transport.abort()
 
 
-def patient(app: object) -> Config:
-    """How uvicorn is to serve, on sockets that it is given."""
+def patient(app: object, *, message_bytes: int = MOST_MESSAGE_BYTES) -> Config:
+    """How uvicorn is to serve, on sockets that it is given, pages that say at most ``message_bytes`` at once."""
     return Config(
         cast("type", app),
         http=PatientHttp,
         ws=PatientSocket,
-        ws_max_size=MOST_MESSAGE_BYTES,
+        ws_max_size=message_bytes,
         ws_ping_interval=PING_S,
         ws_ping_timeout=PING_S,
         ws_per_message_deflate=False,

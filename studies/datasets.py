@@ -85,7 +85,7 @@ def ensure(
         samples = list(_SAMPLES[task](specimen, np.random.default_rng((SPLITS[split].first, seed, index))))
         for name in samples[0]:
             values = np.stack([sample[name] for sample in samples])
-            _store(draft / f"{name}.npy", values, index, len(worlds))
+            store(draft / f"{name}.npy", values, index, len(worlds))
         marker.write_text(json.dumps({**begun, "done": index + 1}))
         progress(index + 1, len(worlds))
     marker.unlink(missing_ok=True)
@@ -147,8 +147,8 @@ def _read(folder: Path, split: str, seed: int) -> list[Callable[[], Specimen]]:
     return [partial(specimen_for, *pair) for pair in zip(seeds, files, strict=True)]
 
 
-def _store(file: Path, values: npt.NDArray[np.generic], index: int, count: int) -> None:
-    """Write the samples of specimen ``index``, of ``count``, into their place of one array."""
+def store(file: Path, values: npt.NDArray[np.generic], index: int, count: int) -> None:
+    """Write the samples ``index`` of ``count`` equal parts into their place of one array."""
     per_specimen = len(values)
     if index == 0:
         shape = (count * per_specimen, *values.shape[1:])

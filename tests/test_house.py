@@ -9,7 +9,19 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-ROOMS = ("drivers", "vision", "calib", "doctor", "milling", "live", "studies", "benchmarks", "cli", "firmware_sim")
+ROOMS = (
+    "drivers",
+    "vision",
+    "calib",
+    "doctor",
+    "milling",
+    "live",
+    "annotate",
+    "studies",
+    "benchmarks",
+    "cli",
+    "firmware_sim",
+)
 MAY_KNOW_THE_EMULATOR = {"cli/emulate.py"}
 HEAVY = (
     "numpy",

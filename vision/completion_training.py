@@ -4,7 +4,8 @@ The label of a place along the strip is the bone removed along the kerf's centre
 the kerf lies: the reading must not hinge on a pixel.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import cv2
@@ -129,28 +130,14 @@ class CompletionTask:
 
         A share of nothing, as on a handful of rings, counts as 1.
         """
-        read = self._read(network, data)
-        seen = ~read["hidden"].astype(bool)
-        margin = network.constants.get(MARGIN, 0.0)
-        covered = read["drill"] >= DRILL_NOT_EXCLUDED
-        truth, estimate = read["truth"][seen], read["completion"][seen]
-        estimate, upper = bounded(estimate, read["upper"][seen] + margin, read["hole"][seen])
-        boxes = read["box_iou"], read["box_score"], int(read["has_box"].sum())
-        hole, bone, begun = truth >= 0.999, truth <= 0.85, truth >= 0.05
-        return {
-            "rmse": float(np.sqrt(np.mean((estimate - truth) ** 2))),
-            "mape_from_0.05": _mean(np.abs(estimate - truth)[begun] / truth[begun]),
-            "upper_bound_coverage": float(np.mean(upper >= truth)),
-            "bite_permitted_up_to_0.85": _mean(upper[bone] < THROUGH),
-            "penetration_recall": _mean(upper[hole] >= THROUGH),
-            "penetration_false_alarm": _mean(estimate[bone] >= THROUGH),
-            "hidden_recall": _mean(covered[~seen]),
-            "hidden_false_alarm": _mean(covered[seen]),
-            "box_ap50": average_precision(*boxes, 0.5),
-            "box_ap50_95": float(np.mean([average_precision(*boxes, step) for step in IOU_STEPS])),
-            **by_tenths(estimate - truth, truth),
-            "rings": float(len(data["strips"])),
-        }
+        return self.judge_draws(network, data, [np.arange(len(data["strips"]))])[0]
+
+    def judge_draws(
+        self, network: Network, data: Data, draws: Iterable[npt.NDArray[np.int64]]
+    ) -> list[dict[str, float]]:
+        """The same of each of several draws of the rings."""
+        read, margin = self._read(network, data), network.constants.get(MARGIN, 0.0)
+        return [_figures({name: values[chosen] for name, values in read.items()}, margin) for chosen in draws]
 
     def worst(self, network: Network, data: Data, count: int) -> list[Worst]:
         """The strip: each place's colour is its error, from green (none) to red (0.3 and more)."""
@@ -183,10 +170,10 @@ class CompletionTask:
             true = np.asarray(data["boxes_px"][index])
             has = bool(np.isfinite(true).all())
             read["has_box"].append(has)
-            if found is not None:
-                x0, y0, x1, y1 = (float(value) for value in true)
-                read["box_iou"].append(iou(found, (x0, y0, x1, y1)) if has else 0.0)
-                read["box_score"].append(float(probability(maps[0][maps[0] > 0]).mean()))
+            x0, y0, x1, y1 = (float(value) for value in true)
+            read["box_iou"].append(iou(found, (x0, y0, x1, y1)) if has and found is not None else 0.0)
+            # NaN: no box was found.
+            read["box_score"].append(math.nan if found is None else float(probability(maps[0][maps[0] > 0]).mean()))
         result = {name: np.array(values, dtype=np.float64) for name, values in read.items()}
         return {
             **result,
@@ -195,6 +182,31 @@ class CompletionTask:
             "truth": np.asarray(data["completions"]),
             "hidden": np.asarray(data["hidden"]),
         }
+
+
+def _figures(read: Mapping[str, npt.NDArray[Any]], margin: float) -> dict[str, float]:
+    """Of what was read of some rings."""
+    seen = ~read["hidden"].astype(bool)
+    covered = read["drill"] >= DRILL_NOT_EXCLUDED
+    truth, estimate = read["truth"][seen], read["completion"][seen]
+    estimate, upper = bounded(estimate, read["upper"][seen] + margin, read["hole"][seen])
+    found = np.isfinite(read["box_score"])
+    boxes = read["box_iou"][found], read["box_score"][found], int(read["has_box"].sum())
+    hole, bone, begun = truth >= 0.999, truth <= 0.85, truth >= 0.05
+    return {
+        "rmse": float(np.sqrt(np.mean((estimate - truth) ** 2))) if truth.size else math.nan,
+        "mape_from_0.05": _mean(np.abs(estimate - truth)[begun] / truth[begun]),
+        "upper_bound_coverage": _mean(upper >= truth),
+        "bite_permitted_up_to_0.85": _mean(upper[bone] < THROUGH),
+        "penetration_recall": _mean(upper[hole] >= THROUGH),
+        "penetration_false_alarm": _mean(estimate[bone] >= THROUGH),
+        "hidden_recall": _mean(covered[~seen]),
+        "hidden_false_alarm": _mean(covered[seen]),
+        "box_ap50": average_precision(*boxes, 0.5),
+        "box_ap50_95": float(np.mean([average_precision(*boxes, step) for step in IOU_STEPS])),
+        **by_tenths(estimate - truth, truth),
+        "rings": float(len(read["truth"])),
+    }
 
 
 def _sample(data: Data, index: int, rng: np.random.Generator) -> tuple[Image, Floats, Floats, Floats, Floats]:

@@ -1,6 +1,6 @@
 """What the tip network learns from, and how every keypoint network is judged."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
 import cv2
@@ -120,6 +120,13 @@ class KeypointTask:
     def judge(self, network: Network, data: Data) -> dict[str, float]:
         """RMSE over what was found, worst case, what was missed and what was invented."""
         return self.figures_of(self._found(network, data))
+
+    def judge_draws(
+        self, network: Network, data: Data, draws: Iterable[npt.NDArray[np.int64]]
+    ) -> list[dict[str, float]]:
+        """The same of each of several draws of the pictures."""
+        found, points = self._found(network, data), len(self.names)
+        return [self.figures_of([found[points * k + i] for k in chosen for i in range(points)]) for chosen in draws]
 
     def figures_of(self, found: list[Found]) -> dict[str, float]:
         """The figures of all pictures' points in turn, each with its true place and whether it can be seen."""

@@ -16,6 +16,8 @@ WINDOW_CELLS = 5
 """Half the side of the window round the peak that the place is averaged over."""
 PICTURE_PX = (960, 540)
 """Width and height of the pictures that the networks are made for."""
+SPAN_MM = 4.2
+"""From bregma to lambda: turns px into mm where a picture has no scale of its own."""
 BORDER = 128
 """Grey round a picture of other proportions."""
 VISIBLE_FROM = 0.5

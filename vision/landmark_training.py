@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from vision.keypoint_training import Found, KeypointTask, as_input, close_loss, rough_loss
-from vision.keypoints import BORDER, PICTURE_PX, Finder, LandmarkFinder
+from vision.keypoints import BORDER, PICTURE_PX, SPAN_MM, Finder, LandmarkFinder
 from vision.landmark_network import SPAN_PX, VIEW_PX, WINDOW_CELLS, LandmarkNet, view_frames
 from vision.networks import CELL_PX, COARSE
 from vision.runtime import Image, Network
@@ -20,8 +20,6 @@ from vision.training import Batch
 Points = npt.NDArray[np.float64]
 
 VIEWS_PER_PICTURE = 2
-SPAN_MM = 4.2
-"""From bregma to lambda: turns an error into mm where a picture has no scale of its own."""
 EDGE_PX = 4
 """A landmark nearer to the edge of a view is not asked for."""
 _REDUCED_PX = (PICTURE_PX[0] // COARSE, 144)

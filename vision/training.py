@@ -9,13 +9,14 @@ import math
 import pickle
 import tempfile
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
+import numpy.typing as npt
 import onnx
 import torch
 from torch import Tensor, nn
@@ -33,6 +34,8 @@ CHECKS = 20
 """How often a training is judged on validation data."""
 CHECK_BATCHES = 6
 DIGEST_BYTES = 1 << 24
+DRAWS = 400
+"""For an interval."""
 PARITY = 2e-3
 """Largest difference allowed between torch and the exported file."""
 
@@ -100,6 +103,11 @@ class Task(Protocol):
 
     def judge(self, network: Network, data: Data) -> dict[str, float]:
         """Figures on held-out data, with the unit in each key."""
+
+    def judge_draws(
+        self, network: Network, data: Data, draws: Iterable[npt.NDArray[np.int64]]
+    ) -> list[dict[str, float]]:
+        """The same of each of several draws of the samples, which are read once."""
 
     def worst(self, network: Network, data: Data, count: int) -> list[Worst]:
         """The readings that are furthest off, the worst first."""
@@ -259,10 +267,28 @@ def finish(
         export(task, network, draft, validation)
         _set_constants(draft, task.calibrate(Network(draft), validation))
         write_manifest(draft, {})
-        figures = task.judge(Network(draft), test)
+        figures, intervals = judged(task, Network(draft), test)
         draft.replace(path)
-    write_manifest(path, {**about, "held_out": figures})
+    write_manifest(path, {**about, "held_out": figures, "held_out_95": intervals})
     return figures
+
+
+def judged(task: Task, network: Network, data: Data) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
+    """Figures on held-out data, and the 95 % interval of each over the samples (bootstrap, percentile).
+
+    A figure that every draw has alike, such as that nothing was missed, tells no interval, nor does a worst case.
+    """
+    count = len(next(iter(data.values())))
+    draws = np.random.default_rng(0).integers(count, size=(DRAWS, count))
+    figures, *drawn = task.judge_draws(network, data, [np.arange(count), *draws])
+    intervals = {}
+    for name in figures:
+        values = np.array([each.get(name, math.nan) for each in drawn])
+        values = values[np.isfinite(values)]
+        if "worst" not in name and len(values) and values.min() < values.max():
+            low, high = np.percentile(values, [2.5, 97.5])
+            intervals[name] = (float(low), float(high))
+    return figures, intervals
 
 
 def export(task: Task, network: nn.Module, path: Path, data: Data) -> None:

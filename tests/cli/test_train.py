@@ -30,10 +30,13 @@ def test_a_network_is_trained_measured_and_measured_again(tiny: Path, capsys: py
     manifest = json.loads((tiny / "new/manifest.json").read_text())["completion.onnx"]
     assert (manifest["task"], manifest["seed"], manifest["steps"]) == ("completion", 3, 2)
     made = sorted(path.name for path in (tiny / "new").iterdir())
-    assert made == ["completion.data", "completion.html", "completion.onnx", "manifest.json"]
+    assert made == ["completion.card.html", "completion.data", "completion.html", "completion.onnx", "manifest.json"]
     page = (tiny / "new/completion.html").read_text()
     for part in ("upper_bound_coverage", "data:image/jpeg", "validation pictures", "polyline"):
         assert part in page
+    card = (tiny / "new/completion.card.html").read_text()
+    for part in (manifest["sha256"], "none of it says anything about tissue", "penetration_recall"):
+        assert part in card
 
     again = [
         "evaluate",
@@ -51,6 +54,8 @@ def test_a_network_is_trained_measured_and_measured_again(tiny: Path, capsys: py
     assert results["weights_sha256"] == manifest["sha256"]
     for name in ("rmse", "upper_bound_coverage"):
         assert results[name] == manifest["held_out"][name]
+    assert [results["rmse_low"], results["rmse_high"]] == manifest["held_out_95"]["rmse"]
+    assert results["rmse_low"] < results["rmse"] < results["rmse_high"]
 
     (tiny / "new/completion.onnx").write_bytes(b"another network")
     assert mill(*again) == 2
