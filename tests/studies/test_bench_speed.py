@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.virtual_bench import measure
+from studies.bench_speed import measure
 
 
 def test_it_tells_both_stages_of_a_mouse():
