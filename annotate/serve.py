@@ -10,6 +10,8 @@ from live.gate import Gate
 from live.patience import patient
 from live.server import listen
 
+PING_S = 20.0
+"""Loading a network may keep a busy computer from answering for seconds, and nobody's safety waits here."""
 NEXT_STEP = "end `mill annotate` and start it again for a new link"
 
 
@@ -24,4 +26,4 @@ def serve(desk: Desk, told: Callable[[str], None]) -> None:
         gate = Gate(desk_app(desk), listening.getsockname()[1], next_step=NEXT_STEP)
         listening.listen()
         told(gate.address)
-        uvicorn.Server(patient(gate, message_bytes=MOST_MESSAGE_BYTES)).run([listening])
+        uvicorn.Server(patient(gate, message_bytes=MOST_MESSAGE_BYTES, ping_s=PING_S)).run([listening])

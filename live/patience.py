@@ -48,15 +48,21 @@ class PatientSocket(WebSocketsSansIOProtocol):
         self.transport.abort()
 
 
-def patient(app: object, *, message_bytes: int = MOST_MESSAGE_BYTES) -> Config:
-    """How uvicorn is to serve, on sockets that it is given, pages that say at most ``message_bytes`` at once."""
+def patient(app: object, *, message_bytes: int = MOST_MESSAGE_BYTES, ping_s: float = PING_S) -> Config:
+    """How uvicorn is to serve, on sockets that it is given.
+
+    Args:
+        app: what answers.
+        message_bytes: the most that a page says at once.
+        ping_s: how often a page is asked whether it reads, and how long it may take to answer.
+    """
     return Config(
         cast("type", app),
         http=PatientHttp,
         ws=PatientSocket,
         ws_max_size=message_bytes,
-        ws_ping_interval=PING_S,
-        ws_ping_timeout=PING_S,
+        ws_ping_interval=ping_s,
+        ws_ping_timeout=ping_s,
         ws_per_message_deflate=False,
         h11_max_incomplete_event_size=MOST_REQUEST_BYTES,
         timeout_keep_alive=int(REQUEST_S),
