@@ -268,8 +268,11 @@ class StudyTable(Table):
     """What the records belong to; the command line says otherwise for one run."""
 
     specimen_id: StudyWord | None = None
+    """Of the animal or the egg."""
     protocol: StudyWord | None = None
+    """Under which it is done."""
     operator: StudyWord | None = None
+    """Who does it."""
 
 
 class RigConfig(BaseModel):

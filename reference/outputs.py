@@ -5,9 +5,12 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Final
 
+from cli.compare import Comparison
 from drivers.discovery import FoundDevice
+from milling.labels import Label
 from milling.replay import Difference, Replay
 from milling.result import RunResult
+from milling.verification import Verdict
 from reference.source import functions, keys_of, literal, modules
 
 HEAD: Final = """\
@@ -86,7 +89,10 @@ WORDS: Final[dict[str, dict[str, str]]] = {
         "weights_sha256": "of the network",
         "duration_s": "of the measurement; beside it stand the task's figures, each under its name",
     },
-    "runs list": {"runs": "one object per record: `run`, `outcome`, `reason`, `rig`, `milling_time_s`"},
+    "runs list": {
+        "runs": "one object per record: `run`, `outcome`, `reason`, `rig`, `milling_time_s`, `specimen_id`, "
+        "`protocol`, `operator`",
+    },
     "runs show": {
         "header": "the record's header",
         "rig": "its rig",
@@ -94,7 +100,23 @@ WORDS: Final[dict[str, dict[str, str]]] = {
         "reason": _RUN["reason"],
         "milling_time_s": _RUN["milling_time_s"],
         "points": "as of `mill run`",
+        "specimen_id": "whose it is",
+        "protocol": "under which it was done",
+        "operator": "who did it",
         "damage": "what of the record was lost, in words; null where nothing was",
+        "chain": "`lines` and `head` of the chain of events; null in records that were written without one",
+        "labels": "what was found out afterwards: " + ", ".join(f"`{field.name}`" for field in fields(Label)),
+    },
+    "runs compare": {
+        "a": "one record",
+        "b": "the other",
+        "page": "both beside each other",
+        "set_up": "what they were given, as far as it differs: `what`, `a`, `b`",
+        "outcome": "what came of it, in the same form",
+        "decisions": "by the reason in words, how often it was given in `a` and in `b`",
+    },
+    "runs verify": {
+        "runs": "one object per record: `run`, " + ", ".join(f"`{field.name}`" for field in fields(Verdict)),
     },
     "runs replay": {
         "run": "the record",
@@ -114,7 +136,8 @@ SAME_AS: Final = {"resume": "run"}
 _ELSEWHERE: Final[Mapping[tuple[str, str], set[str]]] = {
     ("run", "result.to_json()"): {field.name for field in fields(RunResult)},
     ("runs replay", "told"): {field.name for field in fields(Replay)},
-    ("runs show", "facts"): {"rig", "outcome", "reason", "milling_time_s"},
+    ("runs show", "facts"): {"rig", "outcome", "reason", "milling_time_s", "specimen_id", "protocol", "operator"},
+    ("runs compare", "asdict(comparison)"): {field.name for field in fields(Comparison)},
     ("experiment NAME", "recipes"): set(),
     ("evaluate TASK", "{name: value if math.isfinite(value) else None for name, value in figures.items()}"): set(),
 }
@@ -122,13 +145,9 @@ _ELSEWHERE: Final[Mapping[tuple[str, str], set[str]]] = {
 
 
 def written() -> dict[str, set[str]]:
-    """By command, the keys that the sources write.
-
-    Raises:
-        ValueError: a dict whose keys are not to be seen in the source; say them in ``_ELSEWHERE``.
-    """
+    """By command, the keys that the sources write; ``**`` and its expression where they are not to be seen there."""
     commands: dict[str, set[str]] = {}
-    for path, tree in modules(["cli"]):
+    for _, tree in modules(["cli"]):
         for function in functions(tree):
             for call in ast.walk(function):
                 if not (isinstance(call, ast.Call) and ast.unparse(call.func) == "write_json"):
@@ -140,17 +159,17 @@ def written() -> dict[str, set[str]]:
                     if keyword.arg is not None:
                         keys.add(keyword.arg)
                         continue
-                    keys |= _behind(keyword.value, command, function, tree, str(path.name))
+                    keys |= _behind(keyword.value, command, function, tree)
     return {command: keys - {"seed"} for command, keys in commands.items()}
 
 
-def _behind(value: ast.expr, command: str, function: ast.FunctionDef, tree: ast.Module, where: str) -> set[str]:
+def _behind(value: ast.expr, command: str, function: ast.FunctionDef, tree: ast.Module) -> set[str]:
     known = _ELSEWHERE.get((command, ast.unparse(value)))
     if known is not None:
         return known
     keys = keys_of(value, function, tree)
     if keys is None:
-        raise ValueError(f"{where}: what does **{ast.unparse(value)} hold? say it in reference/outputs.py")
+        return {f"**{ast.unparse(value)}"}
     inner = {source: more for (of, source), more in _ELSEWHERE.items() if of == command}
     return keys.union(*(more for source, more in inner.items() if f"**{source}" in ast.unparse(function)))
 

@@ -12,23 +12,14 @@ from milling.result import RunResult
 from reference.source import functions, keys_of, literal, modules
 
 HEAD: Final = """\
-# Records
+# The record of a run: every field
 
-`mill run` keeps a folder, by default `runs/DATE`:
+[Records and studies](../records.md) tells which files a record has, how its events are a chain, and what can be done
+with it. `result.json` holds what [`--json`](json.md#mill-run-mill-resume) writes, and where the chain ends.
 
-| file | what it holds |
-|---|---|
-| `header.json` | what ran: written once, before anything moves |
-| `events.jsonl` | what happened: one event a line, appended as it happens |
-| `frames/*.jpg` | pictures, one in two seconds unless `--picture-every` says otherwise; a full disk costs them first |
-| `calibration.toml` | the calibration that the run used |
-| `result.json` | how it ended, as [`--json`](json.md#mill-run-mill-resume) tells; absent after a kill |
-| `report.html` | the page about it, made from the rest; `mill runs report RUN` makes it anew |
-
-A line of `events.jsonl` is a checksum (CRC32, eight hex digits) and a JSON object with `t`, the seconds since the
-record began on the monotonic clock, `kind`, and the fields below. A kill costs at most the line that was being
-written: it is dropped when the record is read, and named. Damage anywhere else is refused, with its line. Points
-count from 1; lengths are mm, places are in {R}, `_px` are pixels of the left picture unless said.
+Each event has `t`, the seconds since the record began on the monotonic clock, `kind`, and the fields below. Points
+count from 1; lengths are mm, places are in {R}, `_px` are pixels of the left picture unless said. A kill costs at most
+the line that was being written: it is dropped when the record is read, and named.
 
 """
 
@@ -45,6 +36,9 @@ HEADER: Final = {
     "job": "the window that was asked for: [`[job]`](rig-file.md#job), whole",
     "weights": "SHA-256 of each network",
     "calibration": "model, held-out and predicted error, date",
+    "resumes": "`mill resume`: the record it goes on from",
+    "resumes_head": "`mill resume`: the end of that record's chain",
+    "study": "`specimen_id`, `protocol`, `operator`, as far as they were told",
 }
 
 WORDS: Final = {
@@ -65,6 +59,7 @@ WORDS: Final = {
     "(s seen, h hidden, b behind the drill)",
     "bad_reading": "a reading that makes no sense; five in a row hold the run",
     "frame": "a picture was kept",
+    "file": "another file of the folder, with what tells whether it was changed",
     "asked": "a point asked for a bite: what it got, and the reason where it got none",
     "cut": "the tip left a point deeper than it was: the journal that `mill resume` goes on from",
     "left": "the tip left a point as deep as it was",
@@ -125,7 +120,7 @@ def page() -> str:
     ordered = [key for key in HEADER if key in keys] + sorted(keys - HEADER.keys())
     parts = [HEAD, "## header.json\n\n| key | what it is |\n|---|---|\n"]
     parts += [f"| `{key}` | {HEADER.get(key, '')} |\n" for key in ordered]
-    parts.append("\n`mill resume` adds `resumes`, the record it goes on from.\n\n## events.jsonl\n\n")
+    parts.append("\n## events.jsonl\n\n")
     parts.append("Kinds marked * are on the disk before the run goes on.\n\n")
     parts.append("| kind | what it tells | fields |\n|---|---|---|\n")
     found = told()
