@@ -87,7 +87,16 @@ WORDS: Final[dict[str, dict[str, str]]] = {
     },
     "evaluate TASK": {
         "weights_sha256": "of the network",
-        "duration_s": "of the measurement; beside it stand the task's figures, each under its name",
+        "duration_s": "of the measurement; beside it stand the task's figures, each under its name, and where an "
+        "interval is known its ends as `NAME_low` and `NAME_high`",
+    },
+    "annotate compare": {
+        "summary": "one object per kind of label and pair of annotators: how far they are apart",
+        "differences": "picture by picture",
+    },
+    "annotate export": {
+        "rows": "pictures in the table, by task",
+        "unsettled": "what was left out because the annotators contradict each other, in words",
     },
     "runs list": {
         "runs": "one object per record: `run`, `outcome`, `reason`, `rig`, `milling_time_s`, `specimen_id`, "
@@ -139,6 +148,10 @@ _ELSEWHERE: Final[Mapping[tuple[str, str], set[str]]] = {
     ("runs show", "facts"): {"rig", "outcome", "reason", "milling_time_s", "specimen_id", "protocol", "operator"},
     ("runs compare", "asdict(comparison)"): {field.name for field in fields(Comparison)},
     ("experiment NAME", "recipes"): set(),
+    (
+        "evaluate TASK",
+        "{f'{name}_{end}': value for name, both in intervals.items() for end, value in zip(ENDS, both, strict=True)}",
+    ): set(),
     ("evaluate TASK", "{name: value if math.isfinite(value) else None for name, value in figures.items()}"): set(),
 }
 """What stands behind `**` where the dict is made in another place: by command and expression."""

@@ -44,8 +44,10 @@ HEADER: Final = {
 WORDS: Final = {
     "state": "what the machine does: start (with the job), milling, paused, lifted",
     "stage": "the next stage of the job, as it is shown to people",
+    "calibration.setpoints": "where the drill will be looked for",
     "calibration.sighting": "the drill was seen at a setpoint",
-    "calibration.hidden": "it was not seen there",
+    "calibration.hidden": "it was not seen at this place; one beside it is tried",
+    "calibration.missed": "it was seen at neither, and the setpoint is left out",
     "calibration.fit": "a calibration was fitted",
     "calibration.verified": "one setpoint, seen again before milling",
     "surface": "the skull's surface as a height field",
