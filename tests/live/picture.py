@@ -36,8 +36,8 @@ def main() -> None:
             browser.until(f"document.getElementById('stop').disabled === false && {BRIGHT}(1) > 10", START_S)
             browser.until("now.t > 0 && now.silent_s > 0.4", START_S)
             browser.picture(out / "live.png")
-        watched(browser, "calibrate", f"{SEEN} === 7", out / "live-calibrate.png")
-        watched(browser, "doctor", f"{SEEN} === 3", out / "live-doctor.png")
+        watched(browser, "calibrate", f"{SEEN} >= 7", out / "live-calibrate.png")
+        watched(browser, "doctor", f"{SEEN} >= 3", out / "live-doctor.png")
 
 
 def watched(browser: Tab, command: str, moment: str, picture: Path) -> None:
