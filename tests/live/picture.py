@@ -36,15 +36,15 @@ def main() -> None:
             browser.until(f"document.getElementById('stop').disabled === false && {BRIGHT}(1) > 10", START_S)
             browser.until("now.t > 0 && now.silent_s > 0.4", START_S)
             browser.picture(out / "live.png")
-        watched(browser, "calibrate", f"{SEEN} === 7", out / "live-calibrate.png")
-        watched(browser, "doctor", f"{SEEN} === 3", out / "live-doctor.png")
+        watched(browser, "calibrate", f"{SEEN} >= 7 && now.tip_px", out / "live-calibrate.png")
+        watched(browser, "doctor", f"{SEEN} >= 1 || ended", out / "live-doctor.png")
 
 
 def watched(browser: Tab, command: str, moment: str, picture: Path) -> None:
     with started(command, "--emulate", "--live") as running:
         assert running.comes_to("open ", START_S), running.said
         browser.open(running.out.split()[1])
-        browser.until(f"{moment} && now.tip_px", START_S)
+        browser.until(moment, START_S)
         browser.picture(picture)
 
 
