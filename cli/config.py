@@ -268,8 +268,11 @@ class StudyTable(Table):
     """What the records belong to; the command line says otherwise for one run."""
 
     specimen_id: StudyWord | None = None
+    """Whose skull it is. `mill resume` refuses another one than the record's."""
     protocol: StudyWord | None = None
+    """Of the study."""
     operator: StudyWord | None = None
+    """Who mills."""
 
 
 class RigConfig(BaseModel):

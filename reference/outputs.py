@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Final
 
+from cli.compare import Comparison
+from cli.config import StudyTable
 from drivers.discovery import FoundDevice
 from milling.replay import Difference, Replay
 from milling.result import RunResult
@@ -84,9 +86,13 @@ WORDS: Final[dict[str, dict[str, str]]] = {
     },
     "evaluate TASK": {
         "weights_sha256": "of the network",
-        "duration_s": "of the measurement; beside it stand the task's figures, each under its name",
+        "duration_s": "of the measurement; beside it stand the task's figures, each under its name, "
+        "with the ends of its interval where there is one",
     },
-    "runs list": {"runs": "one object per record: `run`, `outcome`, `reason`, `rig`, `milling_time_s`"},
+    "runs list": {
+        "runs": "one object per record: `run`, `outcome`, `reason`, `rig`, `milling_time_s`, `labels`, and the "
+        "study's `specimen_id`, `protocol`, `operator`"
+    },
     "runs show": {
         "header": "the record's header",
         "rig": "its rig",
@@ -95,6 +101,23 @@ WORDS: Final[dict[str, dict[str, str]]] = {
         "milling_time_s": _RUN["milling_time_s"],
         "points": "as of `mill run`",
         "damage": "what of the record was lost, in words; null where nothing was",
+        "specimen_id": "as told on the command line or in the rig file; null where nobody told",
+        "protocol": "likewise",
+        "operator": "likewise",
+        "chain": "`lines` of the events and the last one's link, `head`; null in records of before",
+        "labels": "every label in the order it was told: `date`, `by`, `name`, `value`",
+    },
+    "runs verify": {
+        "runs": "one object per record: `run`, `state` (whole, changed, cut off, no chain), `reasons`, `chain` and how "
+        "many `files` are as the events tell",
+    },
+    "runs compare": {
+        "a": "the first record",
+        "b": "the second one",
+        "page": "the page about both",
+        "set_up": "what they were given differently: `what`, `a` and `b` as texts",
+        "outcome": "what came of it, likewise, whether it differs or not",
+        "decisions": "how often a bite was asked for, by the answer: `answer`, `a`, `b`",
     },
     "runs replay": {
         "run": "the record",
@@ -114,9 +137,14 @@ SAME_AS: Final = {"resume": "run"}
 _ELSEWHERE: Final[Mapping[tuple[str, str], set[str]]] = {
     ("run", "result.to_json()"): {field.name for field in fields(RunResult)},
     ("runs replay", "told"): {field.name for field in fields(Replay)},
-    ("runs show", "facts"): {"rig", "outcome", "reason", "milling_time_s"},
+    ("runs show", "facts"): {"rig", "outcome", "reason", "milling_time_s", *StudyTable.model_fields},
+    ("runs compare", "asdict(comparison)"): {field.name for field in fields(Comparison)},
     ("experiment NAME", "recipes"): set(),
     ("evaluate TASK", "{name: value if math.isfinite(value) else None for name, value in figures.items()}"): set(),
+    (
+        "evaluate TASK",
+        "{f'{name}_{end}': value for name, both in intervals.items() for end, value in zip(ENDS, both, strict=True)}",
+    ): set(),
 }
 """What stands behind `**` where the dict is made in another place: by command and expression."""
 

@@ -23,9 +23,11 @@ HEAD: Final = """\
 | `frames/*.jpg` | pictures, one in two seconds unless `--picture-every` says otherwise; a full disk costs them first |
 | `calibration.toml` | the calibration that the run used |
 | `result.json` | how it ended, as [`--json`](json.md#mill-run-mill-resume) tells; absent after a kill |
+| `labels.jsonl` | what people found out afterwards (`mill runs label`) |
 | `report.html` | the page about it, made from the rest; `mill runs report RUN` makes it anew |
 
-A line of `events.jsonl` is a checksum (CRC32, eight hex digits) and a JSON object with `t`, the seconds since the
+A line of `events.jsonl` is a link (32 hex digits, [a chain over all lines](../records.md#is-it-still-what-was-written);
+in older records a CRC32, eight digits) and a JSON object with `t`, the seconds since the
 record began on the monotonic clock, `kind`, and the fields below. A kill costs at most the line that was being
 written: it is dropped when the record is read, and named. Damage anywhere else is refused, with its line. Points
 count from 1; lengths are mm, places are in {R}, `_px` are pixels of the left picture unless said.
@@ -45,7 +47,15 @@ HEADER: Final = {
     "job": "the window that was asked for: [`[job]`](rig-file.md#job), whole",
     "weights": "SHA-256 of each network",
     "calibration": "model, held-out and predicted error, date",
+    "study": "specimen_id, protocol and operator, those that were told",
 }
+
+RESUMED: Final = """
+`mill resume` adds `resumes`, the record it goes on from, and `resumes_head`, the last link of its chain.
+
+## events.jsonl
+
+"""
 
 WORDS: Final = {
     "state": "what the machine does: start (with the job), milling, paused, lifted",
@@ -64,7 +74,8 @@ WORDS: Final = {
     "reading": "what a picture says of every point: completion, its upper bound, and how the point was shown "
     "(s seen, h hidden, b behind the drill)",
     "bad_reading": "a reading that makes no sense; five in a row hold the run",
-    "frame": "a picture was kept",
+    "frame": "a picture was kept; its SHA-256",
+    "file": "another file of the folder, bound to the record by its SHA-256",
     "asked": "a point asked for a bite: what it got, and the reason where it got none",
     "cut": "the tip left a point deeper than it was: the journal that `mill resume` goes on from",
     "left": "the tip left a point as deep as it was",
@@ -125,7 +136,7 @@ def page() -> str:
     ordered = [key for key in HEADER if key in keys] + sorted(keys - HEADER.keys())
     parts = [HEAD, "## header.json\n\n| key | what it is |\n|---|---|\n"]
     parts += [f"| `{key}` | {HEADER.get(key, '')} |\n" for key in ordered]
-    parts.append("\n`mill resume` adds `resumes`, the record it goes on from.\n\n## events.jsonl\n\n")
+    parts.append(RESUMED)
     parts.append("Kinds marked * are on the disk before the run goes on.\n\n")
     parts.append("| kind | what it tells | fields |\n|---|---|---|\n")
     found = told()
