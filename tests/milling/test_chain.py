@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pytest_mock import MockerFixture
 
@@ -58,6 +58,7 @@ def test_the_links_are_what_the_documentation_says(written: Path) -> None:
     assert json.loads((written / "result.json").read_text())["chain"] == {"lines": N, "head": before}
 
 
+@settings(deadline=None)
 @given(data=st.data())
 def test_any_change_of_the_bytes_is_told(written: Path, data: st.DataObject) -> None:
     """Bytes changed, put in, taken out, doubled, moved or cut off: refused, naming a line not after the change."""
@@ -82,6 +83,7 @@ def test_any_change_of_the_bytes_is_told(written: Path, data: st.DataObject) -> 
         file.write_bytes(text)
 
 
+@settings(deadline=None)
 @given(order=st.lists(st.integers(0, N - 1), max_size=N + 2))
 def test_any_other_choice_or_order_of_its_lines_is_told(written: Path, order: list[int]) -> None:
     lines = lines_of(written)
@@ -95,6 +97,7 @@ def test_any_other_choice_or_order_of_its_lines_is_told(written: Path, order: li
         reads(written, lines)
 
 
+@settings(deadline=None)
 @given(index=st.integers(0, N - 1), depth=st.floats(0.0, 1.0))
 def test_a_line_with_a_link_of_its_own_is_told_by_the_next_or_by_the_end(
     written: Path, index: int, depth: float
