@@ -220,11 +220,10 @@ def export(
     rerun_file: Path | None,
     folder: Path,
 ) -> None:
-    r"""Write runs for other programs.
+    """Write runs for other programs.
 
-    \b
-    --csv            ids, outcome, times, labels, versions, weights, job (docs/records.md)
-    --mcap, --rerun  pictures, path, surface, figures and reasons on one clock (docs/viewers.md)
+    --csv writes ids, outcome, times, labels, versions, weights and job (docs/records.md); --mcap and --rerun write
+    pictures, path, surface, figures and reasons on one clock (docs/viewers.md).
     """
     if csv_file is None and mcap_file is None and rerun_file is None:
         raise ConfigError("nothing to write: give --csv FILE, --mcap FILE or --rerun FILE")
