@@ -110,7 +110,11 @@ def _latency(figures: dict[str, Any]) -> list[str]:
         "| | median | 99 % | worst |",
         "|---|---|---|---|",
     ]
-    for name, words in (("supervisor", "supervisor process"), ("shared_interpreter", "thread beside a busy one")):
+    for name, words in (
+        ("supervisor", "supervisor process, from a drive's EMCY frame on the wire"),
+        ("told", "supervisor process, told by its pipe"),
+        ("shared_interpreter", "thread beside a busy one, told by a pipe"),
+    ):
         values = (f"{figures[f'{name}_{label}_ms']:.1f}" for label in ("p50", "p99", "max"))
         lines.append(f"| {words} | {' | '.join(values)} |")
     return [*lines, ""]
