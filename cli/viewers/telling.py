@@ -79,8 +79,7 @@ class Telling:
             center, beside = (np.asarray(place) for place in tip_px[eye])
             ball = (center.tolist(), float(np.linalg.norm(beside - center)))
         if drawn is not None or ball is not None:
-            # The landmarks were found in the left picture.
-            landmarks = {} if eye else self.story.scene["marks_px"]
+            landmarks = self.story.scene["marks_px"][eye]
             colors = self._colors(len(drawn)) if drawn is not None else []
             self._viewer.marks(t_s, EYES[eye], Marks(drawn or [], colors, landmarks, ball))
 

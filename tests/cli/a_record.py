@@ -47,6 +47,8 @@ def begin(folder: Path, clock: SimClock) -> RunRecorder:
         offset_mm=0.5,
         bregma_px=[400.0, 270.0],
         lambda_px=[520.0, 270.0],
+        bregma_right_px=[390.0, 271.0],
+        lambda_right_px=[510.0, 271.0],
     )
     left_px, _ = calibration.project(np.array(ring(2.5)))
     recorder.event("ring", ring_px=left_px, radius_px=50.0, ring_mm=ring(2.5))

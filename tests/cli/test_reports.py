@@ -7,6 +7,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -198,14 +199,14 @@ def test_a_browser_shows_them_dark_and_prints_them_light(pages: dict[str, Path])
                 browser.ask("performance.getEntriesByType('resource').filter(e => !e.name.startsWith('data:')).length")
                 == 0
             )
-        assert browser.complaints == []
+            assert browser.complaints == []
 
 
-def _show(browser: Tab, page: Path, media: str, scheme: str) -> None:
+def _show(browser: Tab, page: Path, media: Literal["screen", "print"], scheme: Literal["light", "dark"]) -> None:
     # A4 between its margins, at 96 dots to the inch.
     width = 687 if media == "print" else 1200
-    browser.size(width, 900)
-    browser.do("Emulation.setEmulatedMedia", media=media, features=[{"name": "prefers-color-scheme", "value": scheme}])
+    browser.page.set_viewport_size({"width": width, "height": 900})
+    browser.page.emulate_media(media=media, color_scheme=scheme)
     browser.open(page.as_uri())
     browser.until(f"document.readyState === 'complete' && location.href === '{page.as_uri()}'")
 

@@ -115,7 +115,10 @@ def test_pictures_are_the_records_own_bytes_with_the_ring_drawn_in(run: Run, rea
     marks = read.of("/eyes/left/marks")[-1]
     drawn = next(run.of_kind("ring"))["ring_px"]
     assert [(point.x, point.y) for point in marks.points[0].points] == [tuple(place) for place in drawn]
-    assert [text.text for text in marks.texts] == ["bregma", "lambda"]
+    for eye, across_px in (("left", 400.0), ("right", 390.0)):
+        texts = read.of(f"/eyes/{eye}/marks")[-1].texts
+        assert [text.text for text in texts] == ["bregma", "lambda"]
+        assert texts[0].position.x == across_px
     known, unknown = marks.points[0].outline_colors[0], marks.points[0].outline_colors[-1]
     assert [round(255 * value) for value in (known.r, known.g, known.b)] == list(color_of(0.2))
     assert [round(255 * value) for value in (unknown.r, unknown.g, unknown.b)] == list(color_of(None))
