@@ -66,11 +66,12 @@ def test_mice_are_told_with_what_was_asked_of_them() -> None:
 
 
 def test_the_stop_is_told_beside_its_reference() -> None:
-    labels = {f"{name}_{label}_ms": value for name, value in (("supervisor", 2.0), ("told", 2.5), ("shared_interpreter", 90.0))
-              for label in ("p50", "p99", "max")}  # fmt: skip
+    latencies = {"supervisor": 2.0, "told": 2.5, "shared_interpreter": 90.0}
+    labels = {f"{name}_{label}_ms": value for name, value in latencies.items() for label in ("p50", "p99", "max")}
     text = page({}, [{"command": "stop latency", "alarms": 2000.0, "hogs": 6.0, **labels}])
     assert "python -m benchmarks.stop_latency --alarms 2000 --hogs 6" in text
-    assert "| supervisor process | 2.0 | 2.0 | 2.0 |" in text
+    assert "| supervisor process, told by its pipe | 2.5 | 2.5 | 2.5 |" in text
+    assert "EMCY frame on the wire | 2.0 | 2.0 | 2.0 |" in text
 
 
 def test_kills_faults_and_the_doctor_have_their_sections() -> None:
