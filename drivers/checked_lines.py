@@ -8,6 +8,7 @@ Keys keep the order they were given in. A file has one of two kinds of check:
            also tells lines that were changed, removed or put in by somebody who did not make all that follow anew
 """
 
+import contextlib
 import errno
 import hashlib
 import json
@@ -77,11 +78,11 @@ class LineWriter:
         """
         if self._file is None or self._full:
             return
-        if self._begun is not None:
-            self._settle()
         body = _encoded(record).encode()
-        line = checked(body) if self._end is None else self._linked(self._end, body)
         try:
+            if self._begun is not None:
+                self._settle()
+            line = checked(body) if self._end is None else self._linked(self._end, body)
             if os.write(self._file, line) < len(line):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             if self._begun is not None:
@@ -120,7 +121,8 @@ class LineWriter:
         """Bring it to the disk; a second call does nothing."""
         if self._file is None:
             return
-        self._settle()
+        with contextlib.suppress(OSError):
+            self._settle()
         file, self._file = self._file, None
         try:
             if not self._full:

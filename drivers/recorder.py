@@ -1,5 +1,6 @@
 """What calib and milling write their events to."""
 
+import contextlib
 from typing import Any, Protocol
 
 import numpy as np
@@ -26,6 +27,23 @@ class NullRecorder:
 
     def frame(self, name: str, image: npt.NDArray[np.uint8]) -> None:
         """Drop the picture."""
+
+
+class ForgivingRecorder:
+    """Passes everything on, and goes on where the disk takes no more: a safe machine comes before its record."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder = recorder
+
+    def event(self, kind: str, **fields: Any) -> None:
+        """Pass it on, if that can be."""
+        with contextlib.suppress(OSError):
+            self._recorder.event(kind, **fields)
+
+    def frame(self, name: str, image: npt.NDArray[np.uint8]) -> None:
+        """Pass it on, if that can be."""
+        with contextlib.suppress(OSError):
+            self._recorder.frame(name, image)
 
 
 class TracedRecorder:

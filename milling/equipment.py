@@ -57,6 +57,9 @@ class Guard(Protocol):
     def beat(self) -> None:
         """A sign of life."""
 
+    def stopped(self) -> str | None:
+        """Why it has stopped the motion, once it is done; None while it watches."""
+
 
 @dataclass(frozen=True)
 class Rig:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from drivers.clock import Clock
 from drivers.errors import DeviceError, DeviceTimeoutError, SafetyStop
 from drivers.motion.interface import MotionController, MotionState, MotionStatus, Vector
-from drivers.recorder import Recorder
+from drivers.recorder import ForgivingRecorder, Recorder
 from drivers.spindle.interface import Spindle, SpindleStatus
 from milling.equipment import Guard
 from milling.latch import Latch, Reaction
@@ -224,14 +224,15 @@ class Hands:
         top = min(position[2] + height_mm, self.motion.travel.high_mm[2])
         self.motion.start_move((position[0], position[1], top), feed_mm_per_s=RETRACT_FEED_MM_S)
         deadline_s = self.clock.now_s() + 0.5
-        is_low = True
+        is_low, lost = True, None
         while True:
             self._live()
-            self.spindle.status()
+            # A drive that cannot be asked any more is told of once the drill is out of the bone.
+            lost = lost or _error_of(self.spindle.status)
             status = self.motion.status()
             if is_low and status.position_mm[2] >= min(position[2] + HIGH_MM, top):
                 is_low = False
-                when_high()
+                lost = _error_of(when_high) or lost
             if status.state is MotionState.IDLE and status.queued_s <= 0:
                 break
             if self.clock.now_s() > deadline_s:
@@ -239,14 +240,17 @@ class Hands:
             self.clock.sleep_s(_BEAT_S)
         if abs(status.position_mm[2] - top) > READ_BACK_MM:
             raise DeviceError(f"motion: lifted to z = {status.position_mm[2]:.3f} mm, {top:.3f} mm commanded")
+        if lost is not None:
+            raise lost
 
     def make_safe(self, latch: Latch) -> Latch:
         """React to what is latched. Whatever fails on the way, both stops are tried; never raises a device's error."""
+        self.recorder = ForgivingRecorder(self.recorder)
         self.recorder.event("latched", reaction=latch.reaction.name, reason=latch.reason)
         if latch.reaction is not Reaction.KILL:
             # Where the supervisor has stopped the motion as well, this waits until it is done: never both at a time.
-            with contextlib.suppress(DeviceError):
-                self._live()
+            if self.guard is not None and self.guard.stopped() is not None:
+                self.guard = None
             try:
                 if latch.reaction is Reaction.HOLD:
                     self.lift(LIFT_MM)
@@ -278,14 +282,16 @@ class Hands:
 
     def kill(self) -> None:
         """Spindle off and controller reset together; each is tried whatever the other does."""
+        self.recorder = ForgivingRecorder(self.recorder)
         self.speed_rpm = 0.0
-        with contextlib.suppress(DeviceError):
-            self.out_of_the_bone()
         for name, stop in (("spindle", self.spindle.stop), ("motion", self.motion.halt)):
             try:
                 stop()
             except (DeviceError, OSError) as error:
                 self.recorder.event("error", where=f"stop {name}", reason=str(error))
+        # Not before both: a supervisor that is at work is waited for here.
+        with contextlib.suppress(DeviceError):
+            self.out_of_the_bone()
         try:
             self._see_it_stand(2.0)
         except (DeviceError, OSError) as error:
@@ -312,6 +318,14 @@ class Hands:
                 )
             self.clock.sleep_s(_BEAT_S)
         self.spindle.wait_until_at_speed(timeout_s)
+
+
+def _error_of(do: Callable[[], object]) -> DeviceError | None:
+    try:
+        do()
+    except DeviceError as error:
+        return error
+    return None
 
 
 def distance_mm(a: Vector, b: Vector) -> float:

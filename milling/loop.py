@@ -160,7 +160,7 @@ class _Run:
         self._stop_watch()
         if self.latch.reaction is Reaction.KILL:
             outcome = "aborted"
-            reason = f"{reason}; the drill was stopped where it stood, the position is lost: lift by hand, then home"
+            reason = f"{reason}; the position is not trusted any more: see that the drill is out of the bone, then home"
         result = self._result(outcome, reason)
         self.recorder.event("outcome", **result.to_json())
         self._tell("done", f"{outcome}: {reason}")

@@ -90,7 +90,10 @@ def watch(port: int, silence_s: float, script: Sequence[tuple[bytes, float]], ta
         left_s = heard_s + silence_s - now_s()
         listened = [STDIN] if tap is None else [STDIN, tap.wire]
         ready = select.select(listened, [], [], max(0.0, left_s) if armed else None)[0]
-        if tap is not None and tap.wire in ready:
+        # A wire that is never silent must not hide that the process that mills is.
+        if not ready or (armed and STDIN not in ready and now_s() - heard_s >= silence_s):
+            return _stop(port, script, _silent(now_s() - heard_s))
+        if tap is not None and tap.wire in ready and STDIN not in ready:
             data = tap.read()
             alarm = tap.alarm_in(data)
             if armed and alarm:
@@ -99,9 +102,7 @@ def watch(port: int, silence_s: float, script: Sequence[tuple[bytes, float]], ta
             if not data:
                 tap.close()
                 tap = None
-        # A wire that is never silent must not hide that the process that mills is.
-        if not ready or (armed and STDIN not in ready and now_s() - heard_s >= silence_s):
-            return _stop(port, script, _silent(now_s() - heard_s))
+        # What the process that mills said comes first: it may just have disarmed.
         if STDIN not in ready:
             continue
         said = os.read(STDIN, 4096)

@@ -46,6 +46,8 @@ WATCHED_S: Final = 2.0
 MOVES_MM: Final = 0.001
 """Within one millisecond."""
 STANDS_RPM: Final = 100.0
+IN_THE_BONE: Final = ("contact", "mill")
+"""Stages in which moves are short; a way through the air that was begun is gone to its end."""
 
 
 @dataclass
@@ -72,12 +74,15 @@ class _Trunk:
         self.rng = np.random.default_rng([self.seed, 9])
         self.after_s = sorted(self.rng.uniform(0.0, WITHIN_S, self.kills).tolist())
         self._bone_at_s: float | None = None
+        self._stage = ""
         self._next = 0
 
     def event(self, kind: str, **fields: Any) -> None:
         """Record it."""
         self.recorder.event(kind, **fields)
         self.overrun.event(kind, fields)
+        if kind == "stage":
+            self._stage = fields["stage"]
         if kind == "contact" and self._bone_at_s is None:
             self._bone_at_s = self.clock.now_s()
         elif kind == "outcome":
@@ -105,7 +110,13 @@ class _Trunk:
         torn = number % 2 == 1
         if torn:
             _tear(folder / "events.jsonl", float(np.random.default_rng([self.seed, number]).random()))
-        found = {"seed": self.seed, "after_s": after_s, "torn": torn, **_alone(self.bench, self.overrun)}
+        found = {
+            "seed": self.seed,
+            "after_s": after_s,
+            "stage": self._stage,
+            "torn": torn,
+            **_alone(self.bench, self.overrun),
+        }
         run = read_run(folder)
         found["events_lost"] = self.recorder.told - len(run.events)
         try:
@@ -179,7 +190,12 @@ def summary(kills: Sequence[Figures]) -> Figures:
     whole = sum(kill["outcome"] == "complete" and kill["flap_free"] for kill in resumed)
     return {
         "kills": len(kills),
-        "standstill_s_worst": max(kill["standstill_s"] for kill in kills),
+        "standstill_s_worst": max(
+            (kill["standstill_s"] for kill in kills if kill["stage"] in IN_THE_BONE), default=0.0
+        ),
+        "standstill_in_the_air_s_worst": max(
+            (kill["standstill_s"] for kill in kills if kill["stage"] not in IN_THE_BONE), default=0.0
+        ),
         "lower_um_worst": 1e3 * max(kill["lower_mm"] for kill in kills),
         "overrun_um_worst": 1e3 * max(kill["overrun_mm"] for kill in kills),
         "spindle_off_s_worst": max(kill["spindle_off_s"] or WATCHED_S for kill in kills),

@@ -166,7 +166,7 @@ class SlcanBus(can.BusABC):
         if line.descriptor is None or not isinstance(line, SharedLine):
             return None
         head, digit = b"t%03X8" % (EMERGENCY_ID + node_id), rb"[0-9A-Fa-f]"
-        pattern = rb"(?:^|[\r\a])%b%b{2}(?!00)%b{14}(?:%b{4})?\r" % (head, digit, digit, digit)
+        pattern = rb"(?:^|[\r\a])t(?i:%b)%b{2}(?!00)%b{14}(?:%b{4})?\r" % (head[1:], digit, digit, digit)
 
         def words(found: bytes) -> str:
             low, high = bytes.fromhex(found.lstrip(b"\r\a")[len(head) : len(head) + 4].decode())

@@ -23,6 +23,7 @@ from served_bench import MILL, line_from, served_bench
 from calib.calibration_file import Calibration, Provenance, RigIdentity
 from calib.camera_fit import fit_camera_pair
 from cli.config import load_rig
+from cli.doctor import software
 from cli.rig import WiredRig
 from doctor.certificate import Certificate, require
 from drivers.clock import SystemClock
@@ -92,7 +93,8 @@ def test_doctor_passes_and_every_check_says_what_it_is(
     assert certificate.calibration is not None
     assert "Certified" in (tmp_path / report["report"]).read_text()
     there = (certificate.motion, certificate.spindle, certificate.camera)
-    require(tmp_path / "certificates", there, certificate.settings, max_age_h=1.0, now=datetime.now(UTC))
+    now = datetime.now(UTC)
+    require(tmp_path / "certificates", there, certificate.settings, software=software(), max_age_h=1.0, now=now)
 
 
 def test_a_run_asks_for_a_certificate_of_these_devices(

@@ -89,9 +89,12 @@ class Fired:
     order: list[str] = field(default_factory=list)
 
     def beat(self) -> None:
+        raise DeviceError("supervisor: it has stopped the motion: the drive's emergency")
+
+    def stopped(self) -> str:
         self.clock.sleep_s(0.3)
         self.order.append(f"done at z = {self.bench.machine.tip_mm[2]:.2f}")
-        raise DeviceError("supervisor: it has stopped the motion: the drive's emergency")
+        return "the drive's emergency"
 
     def arm(self) -> None:
         self.order.append("armed")
@@ -111,9 +114,39 @@ def test_a_retract_waits_for_a_supervisor_that_is_at_it_and_asks_it_nothing_more
     assert at.bench.machine.tip_mm[2] == pytest.approx(z + RETRACT_MM, abs=0.02)
 
 
-def test_a_kill_waits_for_nobody(at: At) -> None:
+def test_a_kill_waits_for_nobody(at: At, monkeypatch: pytest.MonkeyPatch) -> None:
     guard = Fired(at.bench, at.clock)
     at.hands.guard = guard
+    stop, halt = at.hands.spindle.stop, at.hands.motion.halt
+    monkeypatch.setattr(at.hands.spindle, "stop", lambda: (guard.order.append("drill off"), stop()))
+    monkeypatch.setattr(at.hands.motion, "halt", lambda: (guard.order.append("halt"), halt()))
     at.hands.make_safe(Latch(Reaction.KILL, "for a test"))
-    assert guard.order == ["disarmed"]
+    assert guard.order == ["drill off", "halt", "disarmed"]
     assert abs(at.bench.machine.spindle_rpm) < 100.0
+
+
+def test_a_drive_that_is_lost_does_not_keep_the_drill_in_the_bone(at: At) -> None:
+    z = at.bench.machine.tip_mm[2]
+    at.bench.plant([parse_fault("can.bus_off")])
+    latch = at.hands.make_safe(Latch(Reaction.RETRACT, "for a test"))
+    assert latch.reaction is Reaction.KILL, "nobody saw the drill stand"
+    at.clock.sleep_s(1.0)
+    assert at.bench.machine.tip_mm[2] == pytest.approx(z + RETRACT_MM, abs=0.02)
+    assert abs(at.bench.machine.spindle_rpm) < 100.0, "the drive misses its host"
+
+
+class Full(NullRecorder):
+    """A disk that takes nothing."""
+
+    def event(self, kind: str, **fields: object) -> None:
+        raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize("reaction", [Reaction.HOLD, Reaction.RETRACT, Reaction.KILL])
+def test_a_full_disk_holds_nothing_up(at: At, reaction: Reaction) -> None:
+    z = at.bench.machine.tip_mm[2]
+    at.hands.recorder = Full()
+    assert at.hands.make_safe(Latch(reaction, "for a test")).reaction is reaction
+    assert abs(at.bench.machine.spindle_rpm) < 100.0
+    if reaction is not Reaction.KILL:
+        assert at.bench.machine.tip_mm[2] >= z + RETRACT_MM - 0.02
