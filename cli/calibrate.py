@@ -73,8 +73,8 @@ def calibrate(
             bench.open_spindle() as spindle,
             bench.open_camera() as camera,
             bench.open_motion() as controller,
-            stoppable(controller, page, bench.clock) as motion,
             shown_in_the_air(traced(NullRecorder(), bench), page, bench.config.name, "calibrate", bench.clock) as told,
+            stoppable(controller, page, bench.clock) as motion,
         ):
             known = (
                 Calibration.load(path, rig_identity(bench, motion, camera, spindle.identity)) if only_verify else None

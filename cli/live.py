@@ -91,6 +91,9 @@ def stoppable(motion: "MotionController", page: "Page | None", clock: "Clock") -
     """The same controller, in free air, with a supervisor that the page's button reaches.
 
     Without a page, or where no supervisor can reach the wire, the controller itself: the page interrupts the command.
+
+    Raises:
+        SafetyStop: it was stopped after the last call.
     """
     path = motion.stop_path
     if page is None or path is None:
@@ -101,7 +104,9 @@ def stoppable(motion: "MotionController", page: "Page | None", clock: "Clock") -
 
     with Guard(path, clock) as guard:
         page.hand_over_stop(guard.stop_end)
-        yield GuardedMotion(motion, guard)
+        guarded = GuardedMotion(motion, guard)
+        yield guarded
+    guarded.require_unstopped()
 
 
 @contextmanager

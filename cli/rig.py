@@ -105,7 +105,7 @@ class WiredRig:
         if isinstance(table, TinyGMotion):
             return open_tinyg(table, self.clock, self.trace)
         if isinstance(table, BcapMotion):
-            return open_bcap(table, self.clock, self.trace)
+            return open_bcap(table, self.clock, self.trace, silence_s=silence_s(self.config))
         self._controller = open_grbl(table, self.clock, self.trace)
         return self._controller
 
@@ -185,6 +185,19 @@ def traced(recorder: Recorder, bench: Rig) -> Recorder:
     return recorder if bench.trace is None else TracedRecorder(recorder, bench.trace)
 
 
+def silence_s(config: RigConfig) -> float:
+    """How long a supervisor waits for a sign of life.
+
+    Between two of them the loop may wait for both wires in turn, as long as the rig file allows: three reports of the
+    motion controller, and the drive.
+    """
+    from milling.guard import SILENCE_S
+
+    reply_s: float = config.motion.model_dump().get("reply_s", 0.0)
+    heartbeat_s: float = config.spindle.model_dump().get("heartbeat_s", 0.0)
+    return max(SILENCE_S, 3 * reply_s + heartbeat_s)
+
+
 def _raw(table: OtherBackend) -> Mapping[str, Any]:
     return table.model_dump(exclude={"backend"})
 
@@ -222,7 +235,7 @@ def _open_board(
         raise
 
 
-def open_bcap(table: BcapMotion, clock: Clock, trace: Trace | None = None) -> MotionController:
+def open_bcap(table: BcapMotion, clock: Clock, trace: Trace | None = None, *, silence_s: float) -> MotionController:
     """A DENSO robot at its address, fed by a process of its own."""
     from drivers.motion.bcap.fed import FedRobot
     from drivers.motion.interface import Travel
@@ -241,6 +254,7 @@ def open_bcap(table: BcapMotion, clock: Clock, trace: Trace | None = None) -> Mo
         travel=Travel(table.travel_low_mm, table.travel_high_mm),
         max_feed_mm_per_s=table.max_feed_mm_s,
         reply_s=table.reply_s,
+        silence_s=silence_s,
         noted=None if trace is None else noted,
     )
 

@@ -16,7 +16,7 @@ from cli.live import page_for, shown, shown_in_the_air, stoppable
 from cli.log import Logged, logged
 from cli.options import BenchChoice
 from cli.output import console_beside, write_json
-from cli.rig import Rig, rig_for, traced
+from cli.rig import Rig, rig_for, silence_s, traced
 from cli.study import study_of
 from drivers.device import closed_in_the_end
 from drivers.errors import ConfigError
@@ -208,8 +208,8 @@ def _calibrated(
 ) -> "Calibration":
     """Of a virtual bench that nobody has calibrated."""
     with (
-        stoppable(motion, page, bench.clock) as stopped,
         shown_in_the_air(traced(NullRecorder(), bench), page, bench.config.name, command, bench.clock) as told,
+        stoppable(motion, page, bench.clock) as stopped,
     ):
         console.print("homing")
         told.event("stage", stage="homing")
@@ -236,19 +236,13 @@ def write_report(folder: Path) -> Path:
 def _guarded(
     motion: "MotionController", spindle: "Spindle", bench: Rig
 ) -> "contextlib.AbstractContextManager[Guard | None]":
-    """A supervisor process for the motion, where one can reach its wire; it hears the spindle's alarms, where it can.
-
-    Between two signs of life the loop may wait for both wires in turn, as long as the rig file allows: three reports of
-    the motion controller, and the drive.
-    """
-    from milling.guard import SILENCE_S, Guard
+    """A supervisor for the motion, where one can reach its wire; it hears the spindle's alarms, where it can."""
+    from milling.guard import Guard
 
     path = motion.stop_path
-    reply_s = bench.config.motion.model_dump().get("reply_s", 0.0)
-    silence_s = max(SILENCE_S, 3 * reply_s + bench.config.spindle.model_dump().get("heartbeat_s", 0.0))
     if path is None:
         return contextlib.nullcontext()
-    return Guard(path, bench.clock, silence_s=silence_s, alarm=spindle.alarm_path)
+    return Guard(path, bench.clock, silence_s=silence_s(bench.config), alarm=spindle.alarm_path)
 
 
 @contextlib.contextmanager

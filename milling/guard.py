@@ -40,6 +40,7 @@ class Guard:
             DeviceTimeoutError: it does not start.
         """
         self._clock = clock
+        self._said = b""
         self._beat_at_s = float("-inf")
         script = json.dumps([(data.hex(), wait_s) for data, wait_s in path.script])
         words = [sys.executable, "-I", "-S", supervisor.__file__, str(path.fd), str(silence_s), script]
@@ -113,7 +114,9 @@ class Guard:
                     self._systemd.send(b"WATCHDOG=1")
 
     def stopped(self) -> str | None:
-        """Why the supervisor has ended, once its script is over; None while it watches."""
+        """Why the supervisor has ended, once its script is over; None while it watches, and where it left in peace."""
+        if self._closed:
+            return self._last_words() if self._said else None
         return self._last_words() if select.select([self._from], [], [], 0.0)[0] else None
 
     def stop(self) -> None:
@@ -134,6 +137,8 @@ class Guard:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        # It may have been told to stop just before it was told to leave.
+        self._hear_it_out()
         os.close(self._from)
         if self._systemd is not None:
             self._systemd.close()
@@ -158,16 +163,19 @@ class Guard:
 
     def _last_words(self) -> str:
         """Why it has ended; its script is over then, so that nobody stops the motion twice at the same time."""
-        said = b""
-        while select.select([self._from], [], [], LEAVE_S)[0] and (more := os.read(self._from, 4096)):
-            said += more
-        if said:
-            why = said.decode(errors="replace").splitlines()[0]
+        if not self._closed:
+            self._hear_it_out()
+        if self._said:
+            why = self._said.decode(errors="replace").splitlines()[0]
             name, _, heard = why.partition(" ")
             if self._alarm is not None and name == supervisor.ALARM:
                 why = self._alarm.words(bytes.fromhex(heard))
             return f"it has stopped the motion: {why}"
         return "its process has ended; end what ended it, and start the run again"
+
+    def _hear_it_out(self) -> None:
+        while select.select([self._from], [], [], LEAVE_S)[0] and (more := os.read(self._from, 4096)):
+            self._said += more
 
 
 def _systemd() -> socket.socket | None:

@@ -30,6 +30,11 @@ class GuardedMotion(MotionController):
         return self._motion.settings
 
     @property
+    def buffer_bytes(self) -> int | None:
+        """The controller's."""
+        return self._motion.buffer_bytes
+
+    @property
     def travel(self) -> Travel:
         """The controller's."""
         return self._motion.travel
@@ -119,17 +124,23 @@ class GuardedMotion(MotionController):
         """Close the controller."""
         self._motion.close()
 
-    @contextlib.contextmanager
-    def _watched(self) -> Iterator[None]:
-        """What the controller says of a stop that was not its host's is no fault of it."""
-        self._require_unstopped(None)
-        try:
-            yield
-        except DeviceError as error:
-            self._require_unstopped(error)
-            raise
+    def require_unstopped(self, cause: DeviceError | None = None) -> None:
+        """Also once the guard is closed, as a stop may have come just before that.
 
-    def _require_unstopped(self, cause: DeviceError | None) -> None:
+        Raises:
+            SafetyStop: the supervisor has stopped the motion, or is gone without being told to leave.
+        """
         why = self._guard.stopped()
         if why is not None:
             raise SafetyStop(f"supervisor: {why}; home next") from cause
+
+    @contextlib.contextmanager
+    def _watched(self) -> Iterator[None]:
+        """What the controller says of a stop that was not its host's is no fault of it; and some say nothing."""
+        self.require_unstopped()
+        try:
+            yield
+        except DeviceError as error:
+            self.require_unstopped(error)
+            raise
+        self.require_unstopped()

@@ -50,7 +50,7 @@ def test_a_robot_is_served_over_udp(tmp_path: Path) -> None:
     with served_bench(tmp_path, ["--seed", "4", "--motion", "bcap"]) as bench:
         rig = load_rig(bench.rig_file)
         assert isinstance(rig.motion, BcapMotion)
-        with open_bcap(rig.motion, SystemClock()) as robot:
+        with open_bcap(rig.motion, SystemClock(), silence_s=0.55) as robot:
             assert "mill-bench-" in robot.identity
             robot.home()
             assert robot.travel.contains(robot.status().position_mm)

@@ -165,7 +165,7 @@ def fed_bcap_bench() -> Iterator[MotionBench]:
         yield MotionBench(controller, clock, reopen, wire, axes, inject, reset, during_wait, device.close)
 
 
-def fed(port: UdpPort, clock: SystemClock) -> FedRobot:
+def fed(port: UdpPort, clock: SystemClock, *, silence_s: float = 0.55) -> FedRobot:
     return FedRobot(
         port.host,
         port.port,
@@ -175,6 +175,7 @@ def fed(port: UdpPort, clock: SystemClock) -> FedRobot:
         travel=TRAVEL,
         max_feed_mm_per_s=MAX_FEED_MM_PER_S,
         reply_s=0.1,
+        silence_s=silence_s,
     )
 
 

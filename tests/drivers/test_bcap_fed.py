@@ -119,6 +119,61 @@ def test_a_supervisor_holds_and_lifts_by_the_stop_path(robot: FedRobot, device: 
         robot.start_move((20.0, 0.0, 15.0), feed_mm_per_s=5.0)
 
 
+@pytest.mark.parametrize("ends", ["flush", "home"])
+def test_no_move_is_taken_between_a_supervisors_hold_and_its_lift(
+    robot: FedRobot, device: UdpDevice, axes: Axes, ends: str
+) -> None:
+    """Both forget a hold."""
+    z_mm = axes.axes_mm[2]
+    (first, _), (second, _) = robot.stop_path.script
+    os.write(robot.stop_path.fd, first)
+    getattr(robot, ends)()
+    for move in (robot.resume, lambda: robot.start_move((20.0, 0.0, 15.0), feed_mm_per_s=5.0)):
+        with pytest.raises(DeviceFaultError, match="a supervisor is stopping the arm"):
+            move()
+    assert robot.status().state is MotionState.IDLE
+    os.write(robot.stop_path.fd, second)
+    assert comes_true(lambda: abs(axes.axes_mm[2] - z_mm - 1.5) < 0.01)
+    assert comes_true(lambda: robot.status().alarm == "halted by halt()")
+    robot.home()
+    robot.start_move(robot.status().position_mm, feed_mm_per_s=5.0)
+
+
+def test_a_hold_does_not_end_a_lift(robot: FedRobot, axes: Axes) -> None:
+    z_mm = axes.axes_mm[2]
+    os.write(robot.stop_path.fd, b"^")
+
+    def lifted_whatever_is_said() -> bool:
+        robot.hold()
+        return abs(axes.axes_mm[2] - z_mm - 1.5) < 0.01
+
+    assert comes_true(lifted_whatever_is_said)
+
+
+def test_a_supervisor_that_waits_long_is_still_heard(device: UdpDevice, axes: Axes) -> None:
+    """Whoever asked is gone, and the page still has the supervisor's pipe: it speaks after its whole silence."""
+    with fed(device.port, CLOCK, silence_s=1.3) as robot:
+        robot.home()
+        x, y, z = robot.status().position_mm
+        robot.start_move((x, y, z - 2.5), feed_mm_per_s=20.0)
+        robot.wait_until_idle(SOON_S)
+        z_mm = axes.axes_mm[2]
+        with Guard(robot.stop_path, CLOCK, silence_s=1.3) as guard:
+            guard.arm()
+            robot._requests.close()
+            robot._lost = True
+            assert comes_true(lambda: abs(axes.axes_mm[2] - z_mm - 1.5) < 0.01)
+            assert "no sign of life for 1.3" in (guard.stopped() or "")
+    assert not device.board.motor_on
+
+
+def test_a_feeder_that_fails_switches_the_motor_off(robot: FedRobot, device: UdpDevice) -> None:
+    with pytest.raises(ConnectionLostError, match="the process that feeds the robot has ended"):
+        robot._ask("start_move", nonsense=True)
+    assert at_rest(device)
+    assert not device.board.motor_on
+
+
 def test_without_its_feeder_the_arm_stops_and_the_next_call_says_so(robot: FedRobot, device: UdpDevice) -> None:
     os.kill(robot.process_id, signal.SIGKILL)
     with pytest.raises(ConnectionLostError, match="the process that feeds the robot has ended"):

@@ -165,6 +165,37 @@ def test_a_halt_is_sent_three_times_and_waits_for_nothing() -> None:
     talk.check()
 
 
+@pytest.mark.parametrize("failing", [1, 2])
+def test_a_copy_of_a_halt_that_cannot_be_sent_keeps_no_other_back(failing: int) -> None:
+    talk, line = without(failing)
+    talk.halt(0x201)
+    assert [function for _, _, function in line.sent] == [70] * (3 - failing)
+    with pytest.raises(DeviceFaultError, match="halted"):
+        talk.check()
+
+
+def test_a_halt_of_which_no_copy_can_be_sent_says_so_and_latches() -> None:
+    talk, _ = without(3)
+    with pytest.raises(ConnectionLostError, match="nobody is there"):
+        talk.halt(0x201)
+    with pytest.raises(DeviceFaultError, match="halted"):
+        talk.check()
+
+
+def without(datagrams: int) -> tuple[BcapSession, Scripted]:
+    """The first so many find nobody."""
+    talk, line, _ = session()
+    write, left = line.write, iter(range(datagrams))
+
+    def failing(data: bytes) -> None:
+        if next(left, None) is not None:
+            raise ConnectionLostError("script: nobody is there")
+        write(data)
+
+    line.write = failing  # type: ignore[method-assign]
+    return talk, line
+
+
 def test_a_closed_session_stays_closed() -> None:
     talk, _, _ = session()
     talk.close()

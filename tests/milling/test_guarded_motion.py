@@ -125,6 +125,44 @@ def test_what_the_controller_says_of_a_foreign_stop_is_told_as_a_stop(guarded: G
         motion.wait_until_idle(30.0)
 
 
+@pytest.mark.parametrize("call", [lambda motion: motion.status(), lambda motion: motion.wait_until_idle(1.0)],
+                         ids=["status", "wait_until_idle"])  # fmt: skip
+def test_a_foreign_stop_that_the_controller_calls_idle_is_told_as_a_stop(guarded: Guarded, call) -> None:
+    """A g2core board is idle after the script, with nothing latched."""
+    guarded.motion.home()
+    status = guarded.motion._motion.status
+
+    def stopped_meanwhile():
+        guarded.motion._motion.status = status
+        guarded.stop()
+        return status()
+
+    guarded.motion._motion.status = stopped_meanwhile
+    with pytest.raises(SafetyStop, match="told to stop"):
+        call(guarded.motion)
+
+
+def test_the_reason_is_told_as_often_as_it_is_asked_for_and_after_the_end(guarded: Guarded) -> None:
+    guarded.stop()
+    for _ in range(2):
+        with pytest.raises(SafetyStop, match="told to stop"):
+            guarded.motion.status()
+    guarded.guard.close()
+    assert guarded.guard.stopped() == "it has stopped the motion: told to stop"
+
+
+def test_one_that_is_told_to_stop_and_then_to_leave_is_heard(guarded: Guarded) -> None:
+    guarded.guard.stop()
+    guarded.guard.close()
+    with pytest.raises(SafetyStop, match="told to stop"):
+        guarded.motion.require_unstopped()
+
+
+def test_one_that_left_in_peace_has_stopped_nothing(guarded: Guarded) -> None:
+    guarded.guard.close()
+    guarded.motion.require_unstopped()
+
+
 def test_a_fault_of_the_controller_stays_one(guarded: Guarded) -> None:
     motion = guarded.motion
     motion.home()

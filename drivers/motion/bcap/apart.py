@@ -6,10 +6,11 @@ SOCKET is the way to the controller, LOCK its lock, both open; ARGUMENTS is JSON
 ``(number, verb, arguments)``, each answered by ``(number, value or error, datagrams)``. On STOPS, a pipe, come single
 bytes, which are obeyed before anything else and within any wait:
 
-    h  hold      !  halt      ^  drop what is queued, lift the tip, then halt
+    h  hold      !  halt      s  hold, and take no move      ^  drop what is queued, lift the tip, then halt
 
-When whoever asks is gone the arm slows down to standstill; for a moment a supervisor may still have it lifted. Then the
-motor is switched off. What was queued before is all that an arm whose owner hangs can still do.
+The last two are a supervisor's. When whoever asks is gone, or this process fails, the arm slows down to standstill; for
+a moment a supervisor may still have it lifted. Then the motor is switched off. What was queued before is all that an
+arm whose owner hangs can still do.
 
 The standard library and this driver, and nothing of mill beside it: it shares no interpreter with a network.
 """
@@ -26,16 +27,16 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from drivers.clock import SystemClock
-from drivers.errors import ConnectionLostError, DeviceError, MillError
+from drivers.errors import ConnectionLostError, DeviceError, DeviceFaultError, MillError
 from drivers.lock import DeviceLock
 from drivers.motion.bcap.driver import BcapController
 from drivers.motion.interface import Travel
 from drivers.motion.udp_line import UdpLine
 
-HOLD, HALT, LIFT = b"h", b"!", b"^"
+HOLD, HALT, STOP, LIFT = b"h", b"!", b"s", b"^"
 LIFT_MM, LIFT_FEED_MM_PER_S = 1.5, 15.0
-LAST_WORDS_S = 1.0
-"""How long a supervisor may still speak when whoever asks is gone."""
+LIFTED_S = 1.5
+"""Longer than that no lift is waited for."""
 REAL_TIME = 10
 _FEED_S = 0.001
 _MOST_NOTES = 20_000
@@ -50,13 +51,17 @@ Note = tuple[float, str, bytes]
 class Apart:
     """One controller, and who may stop it. It is a ``DatagramLine`` itself, of which a read hears the stops as well."""
 
-    def __init__(self, line: UdpLine, stops: int, *, noted: bool) -> None:
+    def __init__(self, line: UdpLine, stops: int, *, last_words_s: float, noted: bool) -> None:
+        """``last_words_s`` is how long a supervisor may still speak when whoever asks is gone."""
         self._line = line
         self._stops: int | None = stops
+        self._last_words_s = last_words_s
         self._noted = noted
         self._clock = SystemClock()
         self._notes: list[Note] = []
-        self._lift_asked = False
+        self._stopped = False
+        """By a supervisor that has not had it lifted yet; a hold alone is forgotten with the path that it holds."""
+        self._lift_asked = self._lifting = False
         self.name = line.name
         self.descriptor = None
         self.controller: BcapController | None = None
@@ -124,13 +129,15 @@ class Apart:
         controller = self.controller
         assert controller is not None
         controller.hold()
-        until_s = self._clock.now_s() + LAST_WORDS_S
-        while self._stops is not None and self._clock.now_s() < until_s:
-            self._hear(None, _FEED_S)
-            controller.feed()
-            self._lift_if_asked(controller)
-        with contextlib.suppress(DeviceError):
-            controller.close()
+        until_s = self._clock.now_s() + self._last_words_s
+        try:
+            while self._stops is not None and self._clock.now_s() < until_s:
+                self._hear(None, _FEED_S)
+                controller.feed()
+                self._lift_if_asked(controller)
+        finally:
+            with contextlib.suppress(DeviceError):
+                controller.close()
 
     def _hear(self, other: int | None, timeout_s: float | None) -> bool:
         """Wait for the other descriptor, and obey who wants to stop; whether there is something of the other."""
@@ -150,24 +157,30 @@ class Apart:
             return
         if word == HALT:
             controller.halt()
-        else:
+        elif not self._lifting:
             controller.hold()
+            self._stopped |= word in (STOP, LIFT)
             self._lift_asked |= word == LIFT
 
     def _lift_if_asked(self, controller: BcapController) -> None:
         if self._lift_asked:
-            self._lift_asked = False
+            # On the way up only a halt is heard.
+            self._lift_asked, self._lifting = False, True
             with contextlib.suppress(MillError):
                 x, y, z = controller.flush().position_mm
                 up_mm = (x, y, min(z + LIFT_MM, controller.travel.high_mm[2]))
                 controller.start_move(up_mm, feed_mm_per_s=LIFT_FEED_MM_PER_S)
-                controller.wait_until_idle(LIFT_MM)
+                controller.wait_until_idle(LIFTED_S)
             # Whoever asks may live after all, and must not go on as if nothing had been.
             with contextlib.suppress(DeviceError):
                 controller.halt()
+            self._stopped = self._lifting = False
 
-    @staticmethod
-    def _carried_out(controller: BcapController, verb: str, arguments: dict[str, Any]) -> Any:
+    def _carried_out(self, controller: BcapController, verb: str, arguments: dict[str, Any]) -> Any:
+        if self._stopped and verb in ("start_move", "resume"):
+            return DeviceFaultError(
+                f"{self.name}: a supervisor is stopping the arm; position kept; home() once it has lifted the tip"
+            )
         try:
             told = getattr(controller, verb)
             return told(**arguments) if callable(told) else told
@@ -196,16 +209,19 @@ def main() -> None:
     held = DeviceLock.inherited(lock)
     line = UdpLine(about["host"], about["port"], socket.socket(fileno=sock), held)
     asked = Connection(requests)
-    apart = Apart(line, stops, noted=about["noted"])
+    apart = Apart(line, stops, last_words_s=about["last_words_s"], noted=about["noted"])
     if not apart.open(asked, about):
         return
     gc.collect()
     gc.freeze()
     with contextlib.suppress(ConnectionLostError):
-        apart.serve(asked)
-        if not line.is_closed:
-            held.sign("the end of a mill command that is gone")
-            apart.abandoned()
+        try:
+            apart.serve(asked)
+        finally:
+            if not line.is_closed:
+                with contextlib.suppress(OSError):
+                    held.sign("the end of a mill command that is gone")
+                apart.abandoned()
 
 
 if __name__ == "__main__":

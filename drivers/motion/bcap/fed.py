@@ -27,6 +27,10 @@ from drivers.motion.udp_line import connected
 ANSWER_S = 60.0
 """Longer than anything takes: over there every wait has a limit of its own."""
 LEAVE_S = 5.0
+HELD_S = 0.2
+"""From the first word of a supervisor to its second: the arm has slowed down by then."""
+SPARE_S = 0.3
+"""For processes that are run late."""
 Noted = Callable[[float, str, bytes], None]
 """Takes a datagram: when it passed, "out" or "in", and its bytes."""
 
@@ -45,11 +49,13 @@ class FedRobot(MotionController):
         travel: Travel,
         max_feed_mm_per_s: float,
         reply_s: float,
+        silence_s: float,
         noted: Noted | None = None,
     ) -> None:
         """Start the process and have it open the controller.
 
-        ``noted`` is told every datagram, with the answer to the next question; the rest is as for ``BcapController``.
+        ``noted`` is told every datagram, with the answer to the next question; ``silence_s`` is how long a supervisor
+        waits for a sign of life before it stops the arm; the rest is as for ``BcapController``.
 
         Raises:
             DeviceBusyError: another process, which the message names, speaks to that controller.
@@ -64,7 +70,7 @@ class FedRobot(MotionController):
         about = {
             "host": host, "port": port, "origin_mm": origin_mm, "orientation_deg": orientation_deg,
             "low_mm": travel.low_mm, "high_mm": travel.high_mm, "max_feed_mm_per_s": max_feed_mm_per_s,
-            "reply_s": reply_s, "noted": noted is not None,
+            "reply_s": reply_s, "last_words_s": silence_s + HELD_S + SPARE_S, "noted": noted is not None,
         }  # fmt: skip
         self._closed = False
         self._lost = False
@@ -128,7 +134,7 @@ class FedRobot(MotionController):
     def stop_path(self) -> StopPath:
         """Into the process that feeds: hold, then up."""
         lift_s = apart.LIFT_MM / apart.LIFT_FEED_MM_PER_S
-        return StopPath(self._stops, ((apart.HOLD, 0.2), (apart.LIFT, lift_s + 0.3)))
+        return StopPath(self._stops, ((apart.STOP, HELD_S), (apart.LIFT, lift_s + SPARE_S)))
 
     def home(self) -> None:
         """As ``BcapController.home``."""

@@ -205,10 +205,17 @@ class BcapSession:
 
     def _write_halt(self, robot: int) -> None:
         first = 0
+        errors: list[ConnectionLostError] = []
         for _ in range(HALT_COPIES):
             serial = self._next_serial()
-            self._line.write(encode(Packet(serial, first, ROBOT_HALT, (robot, ""))))
+            try:
+                self._line.write(encode(Packet(serial, first, ROBOT_HALT, (robot, ""))))
+            except ConnectionLostError as error:
+                # A socket tells once, and at the next datagram, that an earlier one found nobody.
+                errors.append(error)
             first = first or serial
+        if len(errors) == HALT_COPIES:
+            raise errors[0]
 
     def _next_serial(self) -> int:
         return next(self._numbers) % 0xFFFF + 1
