@@ -8,6 +8,7 @@ from pytest_mock import MockerFixture
 from rig_file import GOOD
 
 from cli.config import GrblMotion, OtherBackend, load_rig
+from cli.rig import silence_s
 from drivers.backends import ENTRY_POINT_GROUP
 from drivers.errors import ConfigError
 
@@ -25,6 +26,15 @@ def test_a_good_file_loads_with_the_defaults_of_the_field(tmp_path: Path) -> Non
     assert rig.motion.settings == {"$100": 1000.0}
     assert rig.tool.ball_radius_mm == 0.5
     assert sum(value**2 for value in rig.tool.center_from_tip_mm) == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(("reply_s", "heartbeat_s", "waits_s"), [(0.05, 0.1, 0.55), (0.5, 0.25, 1.75)])
+def test_a_supervisor_is_as_patient_as_both_wires(
+    tmp_path: Path, reply_s: float, heartbeat_s: float, waits_s: float
+) -> None:
+    patient = GOOD.replace("[motion]", f"[motion]\nreply_s = {reply_s}")
+    patient = patient.replace("[spindle]", f"[spindle]\nheartbeat_s = {heartbeat_s}")
+    assert silence_s(load_rig(write(tmp_path, patient))) == pytest.approx(waits_s)
 
 
 @pytest.mark.parametrize(
