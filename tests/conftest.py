@@ -1,6 +1,10 @@
+import signal
 from pathlib import Path
 
 import pytest
+
+# A shell that runs tests in the background has them ignore Ctrl-C, and what they start would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
