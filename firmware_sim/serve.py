@@ -26,6 +26,7 @@ import cv2
 from drivers.camera.interface import Image
 from drivers.clock import Clock, SystemClock
 from firmware_sim.bench import Bench
+from firmware_sim.cutting import LOOK_AT_FLAP
 from firmware_sim.machine import Machine
 from firmware_sim.microscope import Microscope
 from firmware_sim.mjpeg_camera import MjpegCameras
@@ -242,7 +243,10 @@ def _compile(specimen: Specimen) -> None:
     machine.carve([(x, y), (x + 0.2, y)], 0.05, closed=False)
     machine.set_tip((x, y, z - 0.1))
     machine.advance_to(0.01)
-    scope.render(0.01)
+    machine.move_to(0.02, (0.0, 0.0, 0.0))
+    machine.torque_fraction(0.03, 45_000.0)
+    machine._let_go_on(LOOK_AT_FLAP)
+    scope.render(0.03)
     machine.truth()
 
 

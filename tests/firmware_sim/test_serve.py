@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 import threading
 import time
 import urllib.request
@@ -202,3 +204,20 @@ def test_a_file_is_replaced_as_a_whole(tmp_path):
     with pytest.raises(FileNotFoundError):
         write_atomically(tmp_path / "nowhere" / "file", "new")
     assert list(tmp_path.iterdir()) == [path]
+
+
+COMPILED = """
+from firmware_sim import machine
+from firmware_sim.serve import _compile
+from firmware_sim.specimen import draw_specimen
+
+_compile(draw_specimen(0))
+called = {name: found for name, found in vars(machine).items() if hasattr(found, "signatures")}
+print(len(called) > 3, [name for name, found in called.items() if not found.signatures])
+"""
+
+
+def test_nothing_is_left_to_be_compiled_on_an_open_wire() -> None:
+    """In a process of its own, where nothing was compiled before: half a second of it is longer than a drive waits."""
+    said = subprocess.run([sys.executable, "-c", COMPILED], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "True []"
