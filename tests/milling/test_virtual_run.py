@@ -154,7 +154,7 @@ def test_a_lost_motion_wire_kills_and_loses_nothing_of_the_record(bench: Virtual
     result = bench.run(tmp_path / "run", JOB, progress=AfterLaps(1, cut_the_wire))
     assert result.outcome == "aborted"
     assert "unplugged" in result.reason
-    assert "position is lost" in result.reason
+    assert "position is not trusted" in result.reason
     bench.clock.sleep_s(2.0)
     assert bench.bench.machine.spindle_rpm == 0.0
     assert read_run(tmp_path / "run").damage is None
