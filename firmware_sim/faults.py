@@ -2,14 +2,17 @@
 
 A fault is written ``NAME[=VALUE][@TIME]``, such as ``camera.stuck@30s``, ``serial.drop=1e-3``, ``vision.low=0.7:arc``.
 Without a time it is there from the beginning; ``@30s`` is 30 s after the drill first turned, which is where milling
-starts. What each one does is in ``firmware_sim.sabotage`` (devices), ``firmware_sim.faulty_reader`` (networks, the
-program itself) and ``firmware_sim.faulty_disk``.
+starts. ``vision.low=0.5..0.9:arc`` draws its value by the seed of the mouse. What each one does is in
+``firmware_sim.sabotage`` (devices), ``firmware_sim.faulty_reader`` (networks, the program itself) and
+``firmware_sim.faulty_disk``.
 """
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
+
+import numpy as np
 
 from drivers.errors import ConfigError
 
@@ -31,7 +34,7 @@ class Kind:
     low: float = 0.0
     high: float = 0.0
     reach: bool = False
-    """Whether ``:one``, ``:arc`` or ``:all`` may follow."""
+    """Whether ``:one``, ``:arc`` or ``:all`` may follow; the value may then be a range too, ``0.5..0.9``."""
     word: str = ""
     """What it is without a value, where its values are no numbers but match ``pattern``."""
     pattern: str = ""
@@ -115,6 +118,15 @@ class Fault:
     after_s: float | None
     """Since the drill first turned; None: from the beginning."""
     word: str = ""
+    highest: float | None = None
+    """Where a range was given, from ``value`` to here: each seed draws its own."""
+
+    def drawn(self, seed: int) -> "Fault":
+        """The fault with one value of its range; itself where it has none."""
+        if self.highest is None:
+            return self
+        value = float(np.random.default_rng([seed, 4713]).uniform(self.value, self.highest))
+        return replace(self, value=value, highest=None)
 
     @property
     def kind(self) -> Kind:
@@ -123,6 +135,7 @@ class Fault:
 
     def __str__(self) -> str:
         value = f"={self.value:g}" if self.kind.unit is not None else f"={self.word}" if self.word else ""
+        value += "" if self.highest is None else f"..{self.highest:g}"
         reach = f"{':' if value else '='}{self.reach}" if self.kind.reach else ""
         return f"{self.name}{value}{reach}" + (f"@{self.after_s:g}s" if self.after_s is not None else "")
 
@@ -145,8 +158,10 @@ def parse_fault(text: str) -> Fault:
             raise ConfigError(f"fault {text!r}: found {value!r}, needs a word such as {kind.word}")
         return Fault(name, 0.0, "", after_s, value or kind.word)
     number, reach = _split(text, kind, value) if equals else ("", "")
-    amount = _quantity(text, number, kind.unit or "", kind.low, kind.high) if number else kind.default
-    return Fault(name, amount, reach or ("all" if kind.reach else ""), after_s)
+    lowest, dots, highest = number.partition("..") if kind.reach else (number, "", "")
+    amount = _quantity(text, lowest, kind.unit or "", kind.low, kind.high) if number else kind.default
+    to = _quantity(text, highest, kind.unit or "", amount, kind.high) if dots else None
+    return Fault(name, amount, reach or ("all" if kind.reach else ""), after_s, highest=to)
 
 
 def parse_faults(texts: Iterable[str], *, place: Place | None = None) -> tuple[Fault, ...]:
@@ -204,6 +219,7 @@ def markdown() -> str:
         value = kind.word if kind.unit is None else f"{kind.default:g}{'' if kind.unit == '%' else kind.unit}"
         allowed = "" if kind.unit is None else f"{kind.low:g} to {kind.high:g}"
         reach = f"; `:{'`, `:'.join(REACHES)}` of the ring" if kind.reach else ""
+        reach += "; a range, `0.5..0.9`, of which each seed draws" if kind.reach and kind.unit is not None else ""
         lines.append(f"| `{name}` | {kind.does} | {value} | {allowed}{reach} |")
     return "\n".join(lines) + "\n"
 

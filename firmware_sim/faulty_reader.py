@@ -41,9 +41,12 @@ class FaultyReader:
     """Stands before the real reader; the faults' time counts from where a ring is first read."""
 
     def __init__(self, reader: Reader, faults: Sequence[Fault], clock: Clock, *, seed: int) -> None:
-        """``faults`` of the families ``vision`` and ``host``; ``seed`` chooses where one point or an arc lies."""
+        """``faults`` of the families ``vision`` and ``host``.
+
+        ``seed`` chooses where one point or an arc lies, and a value of a range.
+        """
         self._reader = reader
-        self._faults = faults
+        self._faults = [fault.drawn(seed) for fault in faults]
         self._clock = clock
         self._seed = seed
 

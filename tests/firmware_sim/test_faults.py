@@ -22,6 +22,7 @@ from firmware_sim.faults import CATALOGUE, Fault, markdown, parse_fault, parse_f
         ("spindle.emcy=0x2310", Fault("spindle.emcy", 8976.0, "", None)),
         ("vision.low=0.7:arc", Fault("vision.low", 0.7, "arc", None)),
         ("vision.low=one@4s", Fault("vision.low", 0.7, "one", 4.0)),
+        ("vision.low=0.5..0.9:arc", Fault("vision.low", 0.5, "arc", None, highest=0.9)),
         ("vision.high", Fault("vision.high", 0.0, "all", None)),
     ],
 )
@@ -54,6 +55,9 @@ def test_every_fault_has_a_value_within_its_own_limits(name: str) -> None:
         ("serial.drop=2", "from 1e-06 to 1"),
         ("vision.low=0.7:half", "allowed after the colon: one, arc, all"),
         ("can.drop=0.1:one", "without a colon"),
+        ("vision.low=0.9..0.5", "needs a number from 0.9 to 0.99"),
+        ("vision.low=0.5..", "found ''"),
+        ("can.drop=0.1..0.2", "needs a number"),
         ("serial.drop=nan", "found 'nan'"),
     ],
 )
@@ -62,6 +66,17 @@ def test_anything_else_is_refused_with_what_is_allowed(text: str, says: str) -> 
         parse_fault(text)
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_of_a_range_each_seed_draws_its_own_value_and_always_the_same() -> None:
+    fault = parse_fault("vision.low=0.5..0.9:one")
+    values = [fault.drawn(seed).value for seed in range(50)]
+    assert 0.5 <= min(values) < 0.55
+    assert 0.85 < max(values) <= 0.9
+    assert fault.drawn(7) == fault.drawn(7)
+    assert fault.drawn(7).highest is None
+    single = parse_fault("vision.low=0.7")
+    assert single.drawn(7) is single
 
 
 def test_faults_are_told_apart_by_where_they_are_planted() -> None:
