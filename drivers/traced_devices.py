@@ -1,98 +1,23 @@
 """Devices that write down what is asked of them, so that a trace can be played to a driver again."""
 
-from collections.abc import Mapping
+from contextlib import AbstractContextManager
 
-from drivers.motion.interface import MotionController, MotionStatus, StopPath, Travel, Vector
+from drivers.motion.forwarded import ForwardedMotion
+from drivers.motion.interface import MotionController
 from drivers.spindle.interface import AlarmPath, Spindle, SpindleStatus
 from drivers.trace_file import Trace
 
 
-class TracedMotion(MotionController):
-    """A motion controller of any make."""
+class TracedMotion(ForwardedMotion):
+    """A motion controller of any make; what is urgent is done first, then written down."""
 
     def __init__(self, motion: MotionController, trace: Trace) -> None:
-        self._motion = motion
+        super().__init__(motion)
         self._trace = trace
 
-    @property
-    def identity(self) -> str:
-        """The controller's."""
-        return self._motion.identity
-
-    @property
-    def settings(self) -> Mapping[str, float]:
-        """The controller's."""
-        return self._motion.settings
-
-    @property
-    def buffer_bytes(self) -> int | None:
-        """The controller's."""
-        return self._motion.buffer_bytes
-
-    @property
-    def travel(self) -> Travel:
-        """The controller's."""
-        return self._motion.travel
-
-    @property
-    def dead_time_s(self) -> float:
-        """The controller's."""
-        return self._motion.dead_time_s
-
-    @property
-    def stop_path(self) -> StopPath | None:
-        """The controller's."""
-        return self._motion.stop_path
-
-    def home(self) -> None:
-        """Write down and home."""
-        with self._trace.call("motion", "home"):
-            self._motion.home()
-
-    def start_move(self, target_mm: Vector, *, feed_mm_per_s: float) -> None:
-        """Write down and move."""
-        with self._trace.call("motion", "start_move", target_mm=target_mm, feed_mm_per_s=feed_mm_per_s):
-            self._motion.start_move(target_mm, feed_mm_per_s=feed_mm_per_s)
-
-    def status(self) -> MotionStatus:
-        """Write down and ask."""
-        with self._trace.call("motion", "status"):
-            return self._motion.status()
-
-    def wait_until_idle(self, timeout_s: float) -> MotionStatus:
-        """Write down and wait."""
-        with self._trace.call("motion", "wait_until_idle", timeout_s=timeout_s):
-            return self._motion.wait_until_idle(timeout_s)
-
-    def hold(self) -> None:
-        """Hold, then write it down."""
-        with self._trace.call("motion", "hold", is_urgent=True):
-            self._motion.hold()
-
-    def resume(self) -> None:
-        """Write down and resume."""
-        with self._trace.call("motion", "resume"):
-            self._motion.resume()
-
-    def flush(self, timeout_s: float = 1.0) -> MotionStatus:
-        """Write down and flush."""
-        with self._trace.call("motion", "flush", timeout_s=timeout_s):
-            return self._motion.flush(timeout_s)
-
-    def halt(self) -> None:
-        """Halt, then write it down."""
-        with self._trace.call("motion", "halt", is_urgent=True):
-            self._motion.halt()
-
-    def set_floor(self, z_mm: float | None) -> None:
-        """Write down and set the floor."""
-        with self._trace.call("motion", "set_floor", z_mm=z_mm):
-            self._motion.set_floor(z_mm)
-
-    def close(self) -> None:
-        """Write down and close."""
-        with self._trace.call("motion", "close"):
-            self._motion.close()
+    def around(self, call: str, *, is_urgent: bool = False, **arguments: object) -> AbstractContextManager[object]:
+        """Write down."""
+        return self._trace.call("motion", call, is_urgent=is_urgent, **arguments)
 
 
 class TracedSpindle(Spindle):
