@@ -18,7 +18,7 @@ test-long: ## the long tests as well
 	$(BIN)/pytest -m 'long or not long'
 
 rules: ## how well the safety rules are tested: every line and branch, and every small change (a quarter of an hour)
-	$(BIN)/coverage run --branch --include="milling/permission.py,milling/point.py,milling/limits.py,milling/supervisor.py" -m pytest -q tests/milling/test_rules.py tests/milling/test_supervisor.py
+	$(BIN)/coverage run --branch --include="milling/permission.py,milling/point.py,milling/limits.py,milling/supervisor.py" -m pytest -q tests/milling/test_rules.py tests/milling/supervising
 	$(BIN)/coverage report -m --fail-under=100
 	$(BIN)/python tests/mutants.py
 

@@ -24,7 +24,7 @@ RULES = "tests/milling/test_rules.py"
 MUTATED = {
     "milling.point": RULES,
     "milling.permission": RULES,
-    "milling.supervisor": "tests/milling/test_supervisor.py",
+    "milling.supervisor": "tests/milling/supervising",
 }
 """And the tests that must notice."""
 TIMEOUT_S = 20

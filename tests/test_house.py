@@ -20,9 +20,10 @@ ROOMS = (
     "studies",
     "benchmarks",
     "cli",
+    "reference",
     "firmware_sim",
 )
-MAY_KNOW_THE_EMULATOR = {"cli/emulate.py"}
+MAY_KNOW_THE_EMULATOR = {"cli/emulate.py", "reference/files.py"}
 HEAVY = (
     "numpy",
     "scipy",
@@ -57,7 +58,7 @@ def imported(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("path", list(modules()), ids=lambda path: str(path.relative_to(ROOT)))
-def test_only_emulate_and_studies_know_that_a_device_can_be_emulated(path: Path) -> None:
+def test_only_emulate_studies_and_the_reference_know_that_a_device_can_be_emulated(path: Path) -> None:
     place = path.relative_to(ROOT).as_posix()
     if place in MAY_KNOW_THE_EMULATOR or place.startswith(("studies/", "firmware_sim/")):
         return
