@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cli.options import json_option, rig_option
+from cli.options import json_option, rig_option, trace_option
 from cli.output import columns, for_people, write_json
 from drivers.clock import Clock, SystemClock
 from drivers.errors import ConfigError, DeviceError, MillError
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cli.config import RigConfig
     from drivers.discovery import FoundDevice
     from drivers.identify import Identified
+    from drivers.trace_file import Trace
 
 WATCH_S = 1.0
 TITLES = ("kind", "use this name", "is now", "USB id", "serial number", "product", "driver", "state", "who")
@@ -44,8 +45,15 @@ TITLES = ("kind", "use this name", "is now", "USB id", "serial number", "product
     help="Save a picture of each camera under its stable name.",
 )
 @click.option("--watch", is_flag=True, help="Show what is plugged in and pulled, until Ctrl-C.")
+@trace_option
 def devices(
-    rig: Path | None, json_file: Path | None, identify: bool, suggest: Path | None, pictures: Path | None, watch: bool
+    rig: Path | None,
+    json_file: Path | None,
+    identify: bool,
+    suggest: Path | None,
+    pictures: Path | None,
+    watch: bool,
+    trace_file: Path | None,
 ) -> None:
     """List serial ports, CAN interfaces and cameras: stable name, driver, and who holds them.
 
@@ -53,10 +61,11 @@ def devices(
     names are listed too, such as those of a virtual bench.
 
     --identify asks a serial port for GRBL's or g2core's version or an SLCAN adapter's, listens to a CAN bus, and asks a
-    robot that the rig file names. No command is sent that moves or resets anything; but opening a port raises DTR, on
-    which some boards start anew.
+    robot or an inverter that the rig file names. --trace writes down what is asked and answered. No command is sent
+    that moves or resets anything; but opening a port raises DTR, on which some boards start anew.
     """
     from cli.config import load_rig
+    from cli.rig import trace_of
     from drivers.discovery import find_devices
 
     wants_stdout = [str(path) for path in (suggest, json_file) if path is not None].count("-")
@@ -64,6 +73,8 @@ def devices(
         raise click.UsageError("--suggest and --json - both want stdout; give one of them a FILE")
     if watch and (identify or suggest or pictures):
         raise click.UsageError("--watch opens nothing; leave out --identify, --suggest and --pictures")
+    if trace_file is not None and not (identify or suggest):
+        raise click.UsageError("--trace writes down what is asked; add --identify or --suggest")
     if suggest is not None and str(suggest) != "-" and suggest.exists():
         raise ConfigError(f"{suggest}: exists and is not written over; name another file")
     config = load_rig(rig) if rig is not None else None
@@ -74,7 +85,10 @@ def devices(
         click.echo(line, err=wants_stdout > 0)
 
     found = find_devices(*named)
-    who = dict(_identified(found, clock, _of_other_makes(config))) if identify or suggest is not None else {}
+    who: dict[str, Identified] = {}
+    if identify or suggest is not None:
+        with trace_of(trace_file, clock, config, {}) as trace:
+            who = dict(_identified(found, clock, config, trace))
     for line in _table(found, who):
         say(line)
     files = {} if pictures is None else dict(_saved(found, pictures, clock, say))
@@ -146,35 +160,34 @@ def _ports(table: "BaseModel") -> list[str]:
     return [name for key in ("port", "channel") if isinstance(name := keys.get(key), str)]
 
 
-def _of_other_makes(config: "RigConfig | None") -> dict[str, str]:
-    """By port, the makes that take mill's questions for something else: of a third party, or at another speed."""
-    from cli.config import ModbusSpindleTable, OtherBackend
-
-    unasked = (OtherBackend, ModbusSpindleTable)
-    tables = [table for table in (config.motion, config.spindle) if isinstance(table, unasked)] if config else []
-    return {
-        value: table.backend
-        for table in tables
-        for key, value in table.model_dump().items()
-        if key in {"port", "channel"}
-    }
-
-
 def _identified(
-    found: Iterable["FoundDevice"], clock: Clock, other_makes: Mapping[str, str]
+    found: Iterable["FoundDevice"], clock: Clock, config: "RigConfig | None", trace: "Trace | None"
 ) -> Iterator[tuple[str, "Identified"]]:
-    from drivers.identify import Identified, identify_can, identify_port, identify_robot
+    """Whom each device says that it is: those that can be opened are asked, in the way of their kind."""
+    from cli.config import ModbusSpindleTable, OtherBackend
+    from drivers.identify import Identified, identify_can, identify_inverter, identify_port, identify_robot
 
-    asks: dict[str, Callable[[str, Clock], Identified]] = {
+    asks: dict[str, Callable[..., Identified]] = {
         "serial": identify_port,
         "can": identify_can,
         "robot": identify_robot,
     }
+    tables = {port: table for table in (config.motion, config.spindle) for port in _ports(table)} if config else {}
     for device in found:
-        if device.path in other_makes:
-            yield device.path, Identified(None, f"not asked: backend {other_makes[device.path]!r} of the rig file")
-        elif device.kind != "camera" and not device.held_by and not device.problem:
-            yield device.path, asks[device.kind](device.name, clock)
+        if device.kind == "camera" or device.held_by or device.problem:
+            continue
+        table = tables.get(device.path) or tables.get(device.name)
+        if isinstance(table, OtherBackend):
+            yield device.path, Identified(None, f"not asked: backend {table.backend!r} of the rig file")
+        elif isinstance(table, ModbusSpindleTable):
+            yield (
+                device.path,
+                identify_inverter(
+                    device.name, clock, baud=table.baud, framing=table.framing, station=table.station, trace=trace
+                ),
+            )
+        else:
+            yield device.path, asks[device.kind](device.name, clock, trace=trace)
 
 
 def _saved(

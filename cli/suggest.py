@@ -85,6 +85,22 @@ def _motion(motion: Sequence["FoundDevice"], who: Mapping[str, "Identified"]) ->
 
 
 def _spindle(spindle: Sequence["FoundDevice"], who: Mapping[str, "Identified"]) -> Iterable[str]:
+    inverter = who.get(spindle[0].path) if spindle else None
+    if inverter is not None and inverter.make == "modbus":
+        yield 'backend = "modbus"'
+        yield f"# {_about(spindle[0], who)}"
+        yield f"port = {_text(spindle[0].name)}"
+        for key, value in inverter.asked_at.items():
+            yield f"{key} = {_text(value) if isinstance(value, str) else value}"
+        yield "rated_current_a = 3.0                   # could not be known: the motor's name plate"
+    else:
+        yield from _on_can(spindle, who)
+    yield "speed_rpm = 45000                       # could not be known: milling speed of this drill"
+    yield "max_speed_rpm = 60000                   # could not be known: what drill and drive can bear"
+    yield from _others(spindle[1:], who)
+
+
+def _on_can(spindle: Sequence["FoundDevice"], who: Mapping[str, "Identified"]) -> Iterable[str]:
     is_can = bool(spindle) and spindle[0].kind == "can"
     yield 'backend = "cia402"'
     yield f'interface = "{"socketcan" if is_can else "slcan"}"'
@@ -97,9 +113,6 @@ def _spindle(spindle: Sequence["FoundDevice"], who: Mapping[str, "Identified"]) 
         yield f"node_id = {nodes[0]:<31}# heard on the bus: {heard}"
     else:
         yield "node_id = 1                             # could not be known: as the drive is set"
-    yield "speed_rpm = 45000                       # could not be known: milling speed of this drill"
-    yield "max_speed_rpm = 60000                   # could not be known: what drill and drive can bear"
-    yield from _others(spindle[1:], who)
 
 
 def _exposure(left: str, right: str) -> Iterable[str]:

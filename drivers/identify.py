@@ -4,12 +4,13 @@ A serial port is asked GRBL's ``?``, which any state answers (GRBL 1.1 interface
 ``$I`` only where it stands; then LAWICEL's ``V`` and ``N`` (CANUSB manual); then g2core's build (g2core wiki). Never
 an end of line before a report has come: it would complete what a dead host left half said. On a CAN bus nothing is
 sent: a node is known by its heartbeat (CiA 301, 7.2.8.3.2). A robot at an address is connected to and left again,
-without taking its arm.
+without taking its arm. An inverter is asked for two of its parameters, at the speed that a rig file names: its frames
+mean nothing at another one.
 """
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import can
@@ -18,6 +19,8 @@ from drivers.clock import Clock
 from drivers.errors import DeviceError
 from drivers.motion.grbl import protocol
 from drivers.motion.transport import SerialLine
+from drivers.trace import TracedBus, TracedDatagrams, TracedLine
+from drivers.trace_file import Trace
 
 BAUD = 115_200
 ANSWER_S = 0.5
@@ -44,19 +47,21 @@ class Identified:
     """For people: who it is, or that nobody answered."""
     firmware: str = ""
     """The version or build as a rig file names it, "1.1h"."""
-    make: Literal["grbl", "tinyg", "bcap"] = "grbl"
-    """Of a motion controller: its backend in a rig file."""
+    make: Literal["grbl", "tinyg", "bcap", "cia402", "modbus"] = "grbl"
+    """Of what it can be used for: its backend in a rig file."""
     node_ids: tuple[int, ...] = ()
     """The nodes heard on a CAN bus."""
+    asked_at: Mapping[str, int | str] = field(default_factory=dict)
+    """The keys of a rig file by which it was reached."""
 
 
-def identify_port(port: str, clock: Clock) -> Identified:
+def identify_port(port: str, clock: Clock, *, trace: Trace | None = None) -> Identified:
     """Ask at a serial port that nobody holds; it is locked meanwhile and given back as it was found."""
     from drivers.motion.serial_line import borrowed_serial
 
     try:
         with borrowed_serial(port, BAUD) as line:
-            return identify_line(line, clock)
+            return identify_line(line if trace is None else TracedLine(line, trace, port), clock)
     except DeviceError as error:
         return Identified(None, str(error))
 
@@ -89,7 +94,24 @@ def identify_line(line: SerialLine, clock: Clock) -> Identified:
     return Identified("motion", info.identity, firmware=version[0] if version else "")
 
 
-def identify_robot(address: str, clock: Clock) -> Identified:
+def identify_inverter(
+    port: str, clock: Clock, *, baud: int, framing: str, station: int, trace: Trace | None = None
+) -> Identified:
+    """Ask a Delta VFD for its identity code and its firmware; nothing is written to it, and its watch is not begun."""
+    from drivers.motion.serial_line import borrowed_serial
+    from drivers.spindle.modbus_wire import ModbusWire
+
+    try:
+        with borrowed_serial(port, baud, framing=framing) as line:
+            traced = line if trace is None else TracedLine(line, trace, port)
+            words = ModbusWire(traced, clock, station=station, baud=baud).who(ANSWER_S)
+    except DeviceError as error:
+        return Identified(None, str(error))
+    asked_at: dict[str, int | str] = {"baud": baud, "framing": framing, "station": station}
+    return Identified("spindle", words, make="modbus", asked_at=asked_at)
+
+
+def identify_robot(address: str, clock: Clock, *, trace: Trace | None = None) -> Identified:
     """Ask a DENSO controller at HOST:PORT, which nobody speaks to, for its version."""
     from drivers.motion.bcap.robot import VERSION, Robot
     from drivers.motion.bcap.session import BcapSession
@@ -97,7 +119,8 @@ def identify_robot(address: str, clock: Clock) -> Identified:
 
     host, _, port = address.rpartition(":")
     try:
-        session = BcapSession(open_udp(host, int(port)), clock)
+        line = open_udp(host, int(port))
+        session = BcapSession(line if trace is None else TracedDatagrams(line, trace, address), clock)
         try:
             robot = Robot(session)
             robot.connect()
@@ -110,11 +133,12 @@ def identify_robot(address: str, clock: Clock) -> Identified:
     return Identified("motion", f"DENSO b-CAP {version}", make="bcap")
 
 
-def identify_can(channel: str, clock: Clock, *, listen_s: float = 2.0) -> Identified:
+def identify_can(channel: str, clock: Clock, *, listen_s: float = 2.0, trace: Trace | None = None) -> Identified:
     """Listen at a SocketCAN interface for heartbeats; nothing is sent."""
     try:
         with can.Bus(interface="socketcan", channel=channel) as bus:
-            return identify_bus(bus, clock, listen_s=listen_s)
+            traced = bus if trace is None else TracedBus(bus, trace, channel)
+            return identify_bus(traced, clock, listen_s=listen_s)
     except (OSError, can.CanError) as error:
         return Identified(None, f"CAN interface {channel}: cannot be listened to ({error}); is it up?")
 
@@ -128,7 +152,7 @@ def identify_bus(bus: can.BusABC, clock: Clock, *, listen_s: float) -> Identifie
             nodes.add(message.arbitration_id - 0x700)
     found = tuple(sorted(nodes))
     words = f"CANopen node {', '.join(map(str, found))}" if found else f"no heartbeat within {listen_s:g} s"
-    return Identified("spindle" if found else None, words, node_ids=found)
+    return Identified("spindle" if found else None, words, make="cia402", node_ids=found)
 
 
 def _slcan(line: SerialLine, clock: Clock) -> Identified | None:
@@ -139,7 +163,7 @@ def _slcan(line: SerialLine, clock: Clock) -> Identified | None:
     line.write(b"N\r")
     number = _SERIAL_NUMBER.search(_heard(line, clock, ANSWER_S, lambda data: bool(_SERIAL_NUMBER.search(data))))
     words = f"SLCAN adapter {version[1].decode('ascii', 'replace')}"
-    return Identified("spindle", f"{words}, serial number {number[1].decode()}" if number else words)
+    return Identified("spindle", f"{words}, serial number {number[1].decode()}" if number else words, make="cia402")
 
 
 def _g2core(line: SerialLine, clock: Clock) -> Identified | None:

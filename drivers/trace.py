@@ -8,7 +8,7 @@ import can
 from drivers.camera.interface import Image
 from drivers.camera.stereo import FrameSource
 from drivers.errors import MillError
-from drivers.motion.transport import SerialLine
+from drivers.motion.transport import DatagramLine, SerialLine
 from drivers.spindle.canbus import AlarmedBus
 from drivers.spindle.interface import AlarmPath
 from drivers.trace_file import ERROR, EXTENDED, REMOTE, Trace, frame_text
@@ -23,10 +23,10 @@ def _failures(trace: Trace, wire: str) -> Iterator[None]:
         raise
 
 
-class TracedLine:
-    """A ``SerialLine``; what another process writes to its descriptor is not seen."""
+class TracedDatagrams:
+    """A ``DatagramLine``."""
 
-    def __init__(self, line: SerialLine, trace: Trace, wire: str) -> None:
+    def __init__(self, line: DatagramLine, trace: Trace, wire: str) -> None:
         self._line = line
         self._trace = trace
         self._wire = wire
@@ -35,11 +35,6 @@ class TracedLine:
     def name(self) -> str:
         """The line's."""
         return self._line.name
-
-    @property
-    def descriptor(self) -> int | None:
-        """The line's."""
-        return self._line.descriptor
 
     def write(self, data: bytes) -> None:
         """Put bytes on the wire, then write them down."""
@@ -59,6 +54,15 @@ class TracedLine:
     def close(self) -> None:
         """Give the line back."""
         self._line.close()
+
+
+class TracedLine(TracedDatagrams):
+    """A ``SerialLine``; what another process writes to its descriptor is not seen."""
+
+    def __init__(self, line: SerialLine, trace: Trace, wire: str) -> None:
+        super().__init__(line, trace, wire)
+        self.descriptor = line.descriptor
+        """The line's."""
 
 
 class TracedBus(can.BusABC):

@@ -123,7 +123,7 @@ def open_serial(port: str, baud: int, *, framing: str = "8N1") -> PortLine:
 
 
 @contextlib.contextmanager
-def borrowed_serial(port: str, baud: int) -> Iterator[PortLine]:
+def borrowed_serial(port: str, baud: int, *, framing: str = "8N1") -> Iterator[PortLine]:
     """A port for a few questions to whoever is there: its settings are afterwards what they were.
 
     Opening a port raises DTR, whoever opens it; some boards start anew on that.
@@ -143,7 +143,7 @@ def borrowed_serial(port: str, baud: int) -> Iterator[PortLine]:
             found = termios.tcgetattr(fd)
         except termios.error as error:
             raise ConnectionLostError(_absent(port, OSError(errno.ENOTTY, os.strerror(errno.ENOTTY)))) from error
-        with contextlib.closing(_open(port, baud)) as line:
+        with contextlib.closing(_open(port, baud, framing)) as line:
             try:
                 yield line
             finally:

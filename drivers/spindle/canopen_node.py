@@ -38,6 +38,9 @@ _Result = TypeVar("_Result")
 logging.getLogger("canopen").addHandler(logging.NullHandler())
 
 _SDO_LIMIT_S = 0.5
+_SDO_KIND = 0xE0
+_ANSWER_OF_THE_OTHER = {0x20: 0x40, 0x40: 0x60}
+"""The answer that an initiated download, or upload, never has: that of the other (CiA 301, 7.2.4.3)."""
 _SDO_TRIES = 3
 """A bus that loses a frame now and then is for `mill doctor` to tell of, and no reason not to open; an object may be
 read or written again."""
@@ -117,6 +120,10 @@ class CanOpenNode:
         self._bucket = 0
         self._lost: str | None = None
         self._expected: bytes | None = None
+        self._answers_no: int | None = None
+        """The kind of SDO answer that the request under way does not have, though its object is the same."""
+        self._wrong = ""
+        """The newest answer of that kind."""
         self._answered = False
         self._answer_limit_s = _SDO_LIMIT_S
         self._network = _ThreadlessNetwork(bus, self._exchange, self.send)
@@ -274,12 +281,15 @@ class CanOpenNode:
 
     def _call(self, entry: Entry, transfer: Callable[[], _Result], limit_s: float) -> _Result:
         self._answer_limit_s = limit_s / _SDO_TRIES
+        self._wrong = ""
         for left in range(_SDO_TRIES - 1, -1, -1):
             try:
                 return transfer()
             except canopen.SdoCommunicationError as error:
                 if self._answered:
                     raise ProtocolError(f"{self.name}: wrong SDO answer for {entry} ({error})") from error
+                if not left and self._wrong:
+                    raise ProtocolError(f"{self.name}: wrong SDO answer for {entry} ({self._wrong})") from error
                 if not left:
                     raise DeviceTimeoutError(
                         f"{self.name}: no SDO answer for {entry} within {limit_s:g} s, asked {_SDO_TRIES} times"
@@ -287,8 +297,9 @@ class CanOpenNode:
         raise AssertionError("not reached")
 
     def _exchange(self, request: bytes) -> None:
-        initiates = request[0] & 0xE0 in (0x20, 0x40)
-        self._expected = request[1:4] if initiates else None
+        kind = request[0] & _SDO_KIND
+        self._expected = request[1:4] if kind in _ANSWER_OF_THE_OTHER else None
+        self._answers_no = _ANSWER_OF_THE_OTHER.get(kind)
         self.send(_SDO_REQUEST_ID + self.node_id, request)
         sdo_queue = self._node.sdo.responses
         self._answered = self.wait(lambda: not sdo_queue.empty(), self._answer_limit_s)
@@ -328,6 +339,10 @@ class CanOpenNode:
             self.heard_at_s = self._clock.now_s()
         if can_id == _SDO_REPLY_ID + self.node_id and self._expected not in (None, bytes(data[1:4])):
             return  # the late answer to a request that was given up
+        if can_id == _SDO_REPLY_ID + self.node_id and data[0] & _SDO_KIND == self._answers_no:
+            # A write that was asked twice is answered twice; the second answer is none to the reading back.
+            self._wrong = bytes(data).hex(" ")
+            return
         if can_id not in (*self._lengths, TPDO1_ID + self.node_id):
             return  # other nodes' frames, which canopen would read or keep without looking at their length
         if can_id == _SDO_REPLY_ID + self.node_id and not self._node.sdo.responses.empty():

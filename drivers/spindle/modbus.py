@@ -84,7 +84,7 @@ class ModbusSpindle(Spindle):
         self._closed = False
         try:
             self._wire.stop()
-            self._identity = self._who()
+            self._identity = self._wire.who(_OPENING_S)
             self._max_speed_rpm = min(max_speed_rpm, self._greatest_rpm())
             self._current_unit_a = 10.0 ** -self._current_digits()
             self._check_set_up()
@@ -237,12 +237,6 @@ class ModbusSpindle(Spindle):
                 raise
         finally:
             self._wire.close()
-
-    def _who(self) -> str:
-        code = self._read(delta.IDENTITY_CODE)
-        firmware = self._read_if_present(delta.FIRMWARE)
-        told = "" if firmware is None else f", firmware {firmware / 100:.2f}"
-        return f"Delta VFD, identity code {code}{told}, {self._wire.name.rpartition(', ')[2]}"
 
     def _greatest_rpm(self) -> float:
         return self._read(delta.GREATEST_FREQUENCY) * self._rpm_per_unit

@@ -5,6 +5,8 @@ written at once, may be lost among the bytes of a question or an answer. Whoever
 it up, and repeats the stop until it is confirmed; it does so before anything else is asked.
 """
 
+import contextlib
+
 from pymodbus.framer.rtu import FramerRTU
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, WriteSingleRegisterRequest
@@ -12,7 +14,7 @@ from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, WriteSing
 from drivers.clock import Clock
 from drivers.errors import ConnectionLostError, DeviceFaultError, DeviceTimeoutError, ProtocolError
 from drivers.motion.transport import SerialLine
-from drivers.spindle.delta_registers import COMMAND, EXCEPTIONS, STOP
+from drivers.spindle.delta_registers import COMMAND, EXCEPTIONS, FIRMWARE, IDENTITY_CODE, STOP
 
 BAD_REPLIES = 3
 """Missing or broken ones in a row are an error."""
@@ -72,6 +74,18 @@ class ModbusWire:
         """
         request = ReadHoldingRegistersRequest(dev_id=self._station, address=address, count=count)
         return list(self._exchange(request, limit_s).registers)
+
+    def who(self, limit_s: float) -> str:
+        """What a Delta drive tells of itself, parameters 00-00 and 00-06; nothing is written.
+
+        Raises:
+            RefusedError, DeviceTimeoutError, ProtocolError: as ``read``.
+        """
+        code = self.read(IDENTITY_CODE, 1, limit_s)[0]
+        firmware = ""
+        with contextlib.suppress(RefusedError):
+            firmware = f", firmware {self.read(FIRMWARE, 1, limit_s)[0] / 100:.2f}"
+        return f"Delta VFD, identity code {code}{firmware}, station {self._station}"
 
     def write(self, address: int, value: int, limit_s: float, *, seen_stops: int | None = None) -> None:
         """One register; nothing is written when a stop came after ``seen_stops``.

@@ -16,13 +16,14 @@ from pytest_mock import MockerFixture
 from rig_file import GOOD
 from served_bench import MILL, served_bench
 
-from cli.config import GrblMotion, load_rig
+from cli.config import GrblMotion, ModbusSpindleTable, load_rig
 from cli.devices import watched
 from cli.suggest import rig_suggestion
 from drivers.camera.snapshot import file_name
 from drivers.discovery import FoundDevice
 from drivers.identify import Identified
 from drivers.lock import DeviceLock, owner_of
+from drivers.trace_file import read_trace
 from firmware_sim.clock import SimClock
 
 
@@ -95,6 +96,37 @@ def test_a_suggested_rig_file_opens_the_bench(bench: Path, tmp_path: Path, capsy
     assert path.read_text() == text
     assert mill("devices", "--rig", str(bench), "--suggest") == 0
     assert capsys.readouterr().out == text
+
+
+def test_an_inverter_of_the_rig_file_is_asked_at_its_own_speed_and_suggested_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trace = tmp_path / "asked.jsonl"
+    with served_bench(tmp_path, ["--spindle", "modbus"]) as served:
+        rig = str(served.rig_file)
+        words = ("devices", "--rig", rig, "--identify", "--trace", str(trace), "--json", "-")
+        assert mill(*words) == 0
+        found = {device["path"]: device for device in json.loads(capsys.readouterr().out)["devices"]}
+        config = load_rig(served.rig_file)
+        assert isinstance(config.spindle, ModbusSpindleTable)
+        assert isinstance(config.motion, GrblMotion)
+        identified = found[config.spindle.port]["identified"]
+        assert (identified["role"], identified["make"]) == ("spindle", "modbus")
+        assert "Delta VFD, identity code" in identified["words"]
+        assert mill("devices", "--rig", rig, "--suggest", str(tmp_path / "new.toml")) == 0
+    suggested = load_rig(tmp_path / "new.toml").spindle
+    assert isinstance(suggested, ModbusSpindleTable)
+    same = {"port", "baud", "framing", "station"}
+    assert suggested.model_dump(include=same) == config.spindle.model_dump(include=same)
+    entries = read_trace(trace).entries
+    assert {entry.wire for entry in entries} == {config.motion.port, config.spindle.port}
+    asked = [
+        entry.data.encode("latin-1") for entry in entries if (entry.wire, entry.kind) == (config.spindle.port, "out")
+    ]
+    read_holding_registers = 3
+    assert [frame[1] for frame in asked] == [read_holding_registers] * 2, "nothing is written to it"
+    assert mill("devices", "--trace", str(tmp_path / "other.jsonl")) == 2
+    assert "add --identify or --suggest" in capsys.readouterr().err
 
 
 def test_each_camera_gives_a_picture_under_its_name(

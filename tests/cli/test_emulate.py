@@ -10,7 +10,8 @@ import pytest
 from served_bench import MILL, ServedBench, served_bench
 
 from cli.config import BcapMotion, GrblMotion, OpenCvCamera, TinyGMotion, load_rig
-from cli.rig import WiredRig, open_bcap
+from cli.makes import open_bcap
+from cli.rig import WiredRig
 from drivers.clock import SystemClock
 
 

@@ -61,6 +61,12 @@ def test_a_late_answer_to_another_request_is_not_taken() -> None:
     assert Cia402Spindle(bus, clock, node_id=1, max_speed_rpm=60_000).identity.startswith("Generic 1,")
 
 
+def test_the_second_answer_to_a_write_that_was_asked_twice_is_none_to_the_reading_back() -> None:
+    clock = HandClock()
+    bus = ScriptedBus(clock, changed("43 83 60 00 A0 86 01 00", "60 83 60 00 00 00 00 00 | 581 43 83 60 00 A0 86 01 00"))
+    assert Cia402Spindle(bus, clock, node_id=1, max_speed_rpm=60_000).identity.startswith("Generic 1,")
+
+
 def test_a_silent_drive_at_start_up() -> None:
     clock = HandClock()
     bus = ScriptedBus(clock, "000 80 01", always="601 40 00 10 00 00 00 00 00")
