@@ -93,15 +93,17 @@ class ContactFinder:
         x, y = xy
         position = self.hands.motion.status().position_mm
         if position[2] < clear:
-            self.hands.go((position[0], position[1], clear), TRAVEL_FEED_MM_S)
+            self.hands.travel((position[0], position[1], clear), TRAVEL_FEED_MM_S)
         self._torques.clear()
-        self.hands.go((x, y, clear), TRAVEL_FEED_MM_S)
+        self.hands.travel((x, y, clear), TRAVEL_FEED_MM_S)
         if self._in_kerf:
             # Cut before: air. Felt over so long a way, the least drift of its torque would count as bone.
-            self.hands.go((x, y, start + BETWEEN_MM), APPROACH_FEED_MM_S)
+            self.hands.travel((x, y, start + BETWEEN_MM), APPROACH_FEED_MM_S)
         self._follow_air()
         while True:
-            if not self._loaded((x, y, start), APPROACH_FEED_MM_S):
+            self._torques.clear()
+            self.hands.travel((x, y, start), APPROACH_FEED_MM_S)
+            if not self._felt():
                 height = self._descend(index, x, y, start)
                 if height is not None:
                     return height
@@ -124,7 +126,7 @@ class ContactFinder:
                     f"point {index + 1}: no bone felt down to z = {z + STEP_MM:.3f} mm, the lowest that is "
                     "permitted there; check that the drill turns and that it is bone"
                 )
-            if not self._loaded((x, y, z), FEED_MM_S):
+            if not self._loaded((x, y, z)):
                 touched_at = None
             elif touched_at is None:
                 if z > start - 1.5 * STEP_MM:
@@ -141,10 +143,13 @@ class ContactFinder:
             most = AIR_STEP * self.idle.sigma
             self.idle = Idle(self.idle.mean + min(max(step, -most), most), self.idle.sigma)
 
-    def _loaded(self, target: Vector, feed_mm_s: float) -> bool:
-        """Go there, and tell whether the drill felt anything on the way."""
+    def _loaded(self, target: Vector) -> bool:
+        """Step there, and tell whether the drill felt anything on the way."""
         self._torques.clear()
-        self.hands.go(target, feed_mm_s)
+        self.hands.go(target, FEED_MM_S)
+        return self._felt()
+
+    def _felt(self) -> bool:
         return bool(self._torques) and self.idle.above(self._torques, SIGMAS)
 
     def _hear(self, status: SpindleStatus) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import ceil
 
 from drivers.clock import Clock
 from drivers.errors import DeviceError, DeviceTimeoutError, SafetyStop
@@ -20,6 +21,9 @@ HIGH_MM = 1.0
 """From here on up the drill may stop."""
 RETRACT_FEED_MM_S = 15.0
 TRAVEL_FEED_MM_S = 15.0
+PIECE_S = 0.04
+QUEUED_S = 0.12
+"""Written ahead of where the tip is: what it still does when nobody speaks any more."""
 _POLL_S = 0.02
 _BEAT_S = 0.005
 _SPEED_SHARE = 0.15
@@ -93,24 +97,57 @@ class Hands:
         """
         self.beat()
         self.motion.start_move(target_mm, feed_mm_per_s=feed_mm_s)
+        return self._arrive(target_mm, feed_mm_s)
+
+    def travel(self, target_mm: Vector, feed_mm_s: float) -> MotionStatus:
+        """A long way, straight, in pieces: when nobody speaks any more, the tip runs for ``QUEUED_S`` at most.
+
+        Raises:
+            SafetyStop, DeviceTimeoutError, Interrupted, DeviceError: as ``go``.
+        """
+        if not self.motion.travel.contains(target_mm):
+            # Refused as a whole, in the controller's words, and not where the way leaves the travel.
+            return self.go(target_mm, feed_mm_s)
+        start_mm, deadline_s = self.motion.status().position_mm, float("inf")
+        pieces = max(1, ceil(distance_mm(start_mm, target_mm) / (feed_mm_s * PIECE_S)))
+        ahead_s, written = 0.0, 0
+        while True:
+            self.beat()
+            while written < pieces and ahead_s + PIECE_S <= QUEUED_S:
+                written, ahead_s = written + 1, ahead_s + PIECE_S
+                piece = between_mm(start_mm, target_mm, written / pieces) if written < pieces else target_mm
+                self.motion.start_move(piece, feed_mm_per_s=feed_mm_s)
+            if written == pieces:
+                return self._arrive(target_mm, feed_mm_s)
+            if deadline_s == float("inf"):
+                deadline_s = self.clock.now_s() + 3.0 + 3.0 * pieces * PIECE_S
+            ahead_s = self._on_the_way(target_mm, deadline_s).queued_s
+            self.clock.sleep_s(_BEAT_S)
+
+    def _arrive(self, target_mm: Vector, feed_mm_s: float) -> MotionStatus:
+        """Watch the last of the way, and read back where it ends."""
         began_s, deadline_s = self.clock.now_s(), float("inf")
         while True:
             self.beat()
-            status = self.motion.status()
+            status = self._on_the_way(target_mm, deadline_s)
             if deadline_s == float("inf"):
                 deadline_s = began_s + 3.0 + 3.0 * distance_mm(status.position_mm, target_mm) / feed_mm_s
             if status.state is MotionState.IDLE and status.queued_s <= 0:
                 break
-            if status.state not in (MotionState.IDLE, MotionState.MOVING):
-                raise DeviceError(f"motion: {status.state} ({status.alarm or 'no alarm'}) on the way to {target_mm} mm")
-            if self.clock.now_s() > deadline_s:
-                raise DeviceTimeoutError(f"motion: not at {target_mm} mm in time, now at {status.position_mm} mm")
             self.clock.sleep_s(_BEAT_S)
         if (miss := distance_mm(status.position_mm, target_mm)) > READ_BACK_MM:
             raise SafetyStop(
                 f"the controller stands at {status.position_mm} mm, {miss:.3f} mm from where it was sent "
                 f"({target_mm} mm), allowed {READ_BACK_MM} mm"
             )
+        return status
+
+    def _on_the_way(self, target_mm: Vector, deadline_s: float) -> MotionStatus:
+        status = self.motion.status()
+        if status.state not in (MotionState.IDLE, MotionState.MOVING):
+            raise DeviceError(f"motion: {status.state} ({status.alarm or 'no alarm'}) on the way to {target_mm} mm")
+        if self.clock.now_s() > deadline_s:
+            raise DeviceTimeoutError(f"motion: not at {target_mm} mm in time, now at {status.position_mm} mm")
         return status
 
     def go_high(self, target_mm: Vector, high_z_mm: float) -> None:
@@ -122,10 +159,10 @@ class Hands:
         x, y, z = self.motion.status().position_mm
         high = max(z, high_z_mm)
         if high > z:
-            self.go((x, y, high), TRAVEL_FEED_MM_S)
-        self.go((target_mm[0], target_mm[1], high), TRAVEL_FEED_MM_S)
+            self.travel((x, y, high), TRAVEL_FEED_MM_S)
+        self.travel((target_mm[0], target_mm[1], high), TRAVEL_FEED_MM_S)
         if target_mm[2] < high:
-            self.go(target_mm, TRAVEL_FEED_MM_S)
+            self.travel(target_mm, TRAVEL_FEED_MM_S)
 
     def settle(self) -> MotionStatus:
         """Let the queue, which is short, run out.
@@ -331,3 +368,9 @@ def _error_of(do: Callable[[], object]) -> DeviceError | None:
 def distance_mm(a: Vector, b: Vector) -> float:
     """Between two points."""
     return float(sum((p - q) ** 2 for p, q in zip(a, b, strict=True)) ** 0.5)
+
+
+def between_mm(a: Vector, b: Vector, share: float) -> Vector:
+    """The point so far on the way from ``a`` to ``b``; rounded, as a path's points are."""
+    x, y, z = (round(p + (q - p) * share, 4) for p, q in zip(a, b, strict=True))
+    return (x, y, z)

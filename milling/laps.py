@@ -20,7 +20,7 @@ from drivers.errors import DeviceError, SafetyStop
 from drivers.motion.interface import MotionState, MotionStatus, Vector
 from drivers.spindle.interface import SpindleStatus
 from milling.eyes import Watch, Witness
-from milling.hands import LIFT_MM, READ_BACK_MM, Hands
+from milling.hands import LIFT_MM, QUEUED_S, READ_BACK_MM, Hands
 from milling.job import Job
 from milling.load import LoadMeter
 from milling.planner import Policy
@@ -30,9 +30,8 @@ from milling.trajectory import Trajectory
 
 Floats = npt.NDArray[np.float64]
 
-QUEUED_S = 0.12
-"""Written ahead of where the tip should be; ahead of one that stands still it is ``POLL_S`` more."""
 POLL_S = 0.04
+"""What is written ahead of a tip that should run and stands still is so much more than ``QUEUED_S``."""
 GLANCE_S = 0.01
 SPEED_OVER_S = 0.12
 LOG_S = 0.2
@@ -355,9 +354,9 @@ class Laps:
         top = float(np.max(self.top_z_mm)) + LIFT_MM
         position = self._hands.motion.status().position_mm
         if position[2] < top:
-            self._hands.go((position[0], position[1], top), ACROSS_FEED_MM_S)
-        self._hands.go((x, y, max(top, position[2])), ACROSS_FEED_MM_S)
-        self._hands.go((x, y, z + LIFT_MM), ACROSS_FEED_MM_S)
+            self._hands.travel((position[0], position[1], top), ACROSS_FEED_MM_S)
+        self._hands.travel((x, y, max(top, position[2])), ACROSS_FEED_MM_S)
+        self._hands.travel((x, y, z + LIFT_MM), ACROSS_FEED_MM_S)
         status = self._hands.go((x, y, z), ENTER_FEED_MM_S)
         self._vertices.clear()
         self._vertices.append((number, (x, y, z)))

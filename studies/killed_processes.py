@@ -36,8 +36,7 @@ from firmware_sim.cia402_drive import State
 from firmware_sim.serve import BenchService
 from firmware_sim.specimen import draw_specimen
 from milling.guard import Guard
-from milling.hands import Hands
-from milling.laps import QUEUED_S
+from milling.hands import QUEUED_S, Hands
 from milling.latch import Latch, Reaction
 
 VICTIMS: Final = ("program", "supervisor", "both")

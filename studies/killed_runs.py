@@ -46,8 +46,6 @@ WATCHED_S: Final = 2.0
 MOVES_MM: Final = 0.001
 """Within one millisecond."""
 STANDS_RPM: Final = 100.0
-IN_THE_BONE: Final = ("contact", "mill")
-"""Stages in which moves are short; a way through the air that was begun is gone to its end."""
 
 
 @dataclass
@@ -190,12 +188,7 @@ def summary(kills: Sequence[Figures]) -> Figures:
     whole = sum(kill["outcome"] == "complete" and kill["flap_free"] for kill in resumed)
     return {
         "kills": len(kills),
-        "standstill_s_worst": max(
-            (kill["standstill_s"] for kill in kills if kill["stage"] in IN_THE_BONE), default=0.0
-        ),
-        "standstill_in_the_air_s_worst": max(
-            (kill["standstill_s"] for kill in kills if kill["stage"] not in IN_THE_BONE), default=0.0
-        ),
+        "standstill_s_worst": max(kill["standstill_s"] for kill in kills),
         "lower_um_worst": 1e3 * max(kill["lower_mm"] for kill in kills),
         "overrun_um_worst": 1e3 * max(kill["overrun_mm"] for kill in kills),
         "spindle_off_s_worst": max(kill["spindle_off_s"] or WATCHED_S for kill in kills),

@@ -52,8 +52,6 @@ def killed_runs(result: Figures) -> list[str]:
         "",
         "| figure | worst or share |",
         "|---|---|",
-        f"| in the air, where a move that was begun goes to its end | "
-        f"{1e3 * result['standstill_in_the_air_s_worst']:.0f} ms |",
         f"| the tip stands after | {1e3 * result['standstill_s_worst']:.0f} ms |",
         f"| the tip goes lower meanwhile by | {result['lower_um_worst']:.0f} um |",
         f"| below what was permitted, commanded path between points included | {result['overrun_um_worst']:.0f} um |",

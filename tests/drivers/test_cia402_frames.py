@@ -63,7 +63,9 @@ def test_a_late_answer_to_another_request_is_not_taken() -> None:
 
 def test_the_second_answer_to_a_write_that_was_asked_twice_is_none_to_the_reading_back() -> None:
     clock = HandClock()
-    bus = ScriptedBus(clock, changed("43 83 60 00 A0 86 01 00", "60 83 60 00 00 00 00 00 | 581 43 83 60 00 A0 86 01 00"))
+    bus = ScriptedBus(
+        clock, changed("43 83 60 00 A0 86 01 00", "60 83 60 00 00 00 00 00 | 581 43 83 60 00 A0 86 01 00")
+    )
     assert Cia402Spindle(bus, clock, node_id=1, max_speed_rpm=60_000).identity.startswith("Generic 1,")
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from drivers.errors import DeviceError
+from drivers.errors import DeviceError, OutOfTravelError
 from drivers.recorder import NullRecorder
 from firmware_sim.bench import Bench
 from firmware_sim.clock import SimClock
@@ -53,6 +53,45 @@ def test_a_retract_lifts_first_and_then_stops_the_drill(at: At) -> None:
     assert at.bench.machine.tip_mm[2] == pytest.approx(z + RETRACT_MM, abs=0.02)
     assert abs(at.bench.machine.spindle_rpm) < 100.0
     assert at.clock.now_s() - began_s < 2.0
+
+
+def test_who_falls_silent_on_a_long_way_leaves_a_tip_that_runs_for_a_moment(at: At) -> None:
+    class Silent(BaseException):
+        """Nobody speaks any more."""
+
+    far_s = at.clock.now_s() + 0.4
+
+    def leave() -> bool:
+        if at.clock.now_s() > far_s:
+            raise Silent
+        return False
+
+    at.hands.stop_requested = leave
+    x, y, z = ABOVE_MM
+    with pytest.raises(Silent):
+        at.hands.go_high((x + 12.0, y, z), z)
+    left_at = at.bench.machine.tip_mm[0]
+    assert left_at > x + 3.0
+    assert at.bench.machine.velocity_mm_s[0] > 10.0
+    at.clock.sleep_s(0.2)
+    assert at.bench.machine.velocity_mm_s[0] == 0.0
+    assert at.bench.machine.tip_mm[0] - left_at < 2.5
+
+
+def test_a_long_way_is_one_straight_line_at_full_speed(at: At) -> None:
+    began_s = at.clock.now_s()
+    x, y, z = ABOVE_MM
+    status = at.hands.travel((x + 12.0, y + 3.0, z), 15.0)
+    assert status.position_mm == pytest.approx((x + 12.0, y + 3.0, z), abs=0.002)
+    assert at.clock.now_s() - began_s < 12.4 / 15.0 + 0.25
+
+
+def test_a_long_way_out_of_the_travel_is_refused_before_it_begins(at: At) -> None:
+    before = at.bench.machine.tip_mm
+    with pytest.raises(OutOfTravelError, match="nothing was sent"):
+        at.hands.travel((-30.0, 0.0, 8.0), 15.0)
+    at.clock.sleep_s(0.3)
+    assert list(at.bench.machine.tip_mm) == list(before)
 
 
 def test_the_drill_may_stop_a_millimetre_up_and_no_earlier(at: At, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -81,7 +81,7 @@ def test_kills_faults_and_the_doctor_have_their_sections() -> None:
         "overrun_um": 2.0, "command_overrun_um": 1.0,
     }  # fmt: skip
     kills = {
-        "kills": 60, "standstill_s_worst": 0.115, "standstill_in_the_air_s_worst": 0.8,
+        "kills": 60, "standstill_s_worst": 0.115,
         "lower_um_worst": 59.0, "overrun_um_worst": 3.0,
         "spindle_off_s_worst": 0.25,
         "spindle_stands_s_worst": 0.56, "events_lost_most": 1, "resumed": 40, "refused": 20,
