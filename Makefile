@@ -11,11 +11,14 @@ install: ## make .venv with the suite, its tests and the hooks
 check: ## formatting, lint, types and the contract between the rooms
 	$(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/mypy && $(BIN)/lint-imports
 
-test: ## the tests a change must pass (minutes)
+test: ## the tests of everyday (a quarter of an hour)
 	$(BIN)/pytest
 
-test-long: ## the long tests as well
-	$(BIN)/pytest -m 'long or not long'
+test-slow: ## whole windows and real processes: what a change must pass as well before it lands
+	$(BIN)/pytest -m slow
+
+test-long: ## every test there is (an hour)
+	$(BIN)/pytest -m ''
 
 rules: ## how well the safety rules are tested: every line and branch, and every small change (a quarter of an hour)
 	$(BIN)/coverage run --branch --include="milling/permission.py,milling/point.py,milling/limits.py,milling/supervisor.py" -m pytest -q tests/milling/test_rules.py tests/milling/supervising
@@ -32,6 +35,6 @@ OUT ?= weights
 weights: ## train all three networks from nothing into OUT, on two cores (25 minutes)
 	printf '%s\n' landmarks completion tip | xargs -P 3 -I{} $(BIN)/mill train {} --out $(OUT)/{}.onnx
 
-all: check test ## what CI runs
+all: check test test-slow ## what CI runs
 
-.PHONY: help install check test test-long rules fuzz docs weights all
+.PHONY: help install check test test-slow test-long rules fuzz docs weights all

@@ -57,6 +57,7 @@ def run(*words: object) -> None:
     assert mill(*map(str, words)) == 0, words
 
 
+@pytest.mark.slow
 def test_from_pictures_to_a_model_card(bench: tuple[Path, Known], tmp_path: Path) -> None:
     source, known = bench
     album = tmp_path / "known"

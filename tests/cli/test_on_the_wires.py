@@ -72,6 +72,7 @@ def test_pictures_are_collected_with_the_state_of_the_devices(
     assert "is there already" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_doctor_passes_and_every_check_says_what_it_is(
     bench: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -96,6 +96,7 @@ def truth_of(rig: Rig) -> dict[str, Any]:
     return truth
 
 
+@pytest.mark.slow
 def test_calibrate_writes_a_calibration_that_may_mill(rig: Rig) -> None:
     known = Calibration.load(rig.calibration, None, for_milling=True)
     assert 0.0 < known.rmse_mm < 0.15
@@ -106,6 +107,7 @@ def test_calibrate_writes_a_calibration_that_may_mill(rig: Rig) -> None:
     assert "truth" not in figures, "a rig file does not say that its devices are emulated"
 
 
+@pytest.mark.slow
 def test_ctrl_c_lifts_the_drill_and_closes_the_record(rig: Rig, tmp_path: Path) -> None:
     clock = SystemClock()
     with run_until("mill: ", rig.rig_file, rig.calibration, tmp_path) as (run, folder):
@@ -132,6 +134,7 @@ def test_ctrl_c_lifts_the_drill_and_closes_the_record(rig: Rig, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("manner", "until"), [("killed", "mill: "), ("hung up", "contact: ")])
+@pytest.mark.slow
 def test_a_bench_that_vanishes_ends_the_run(rig: Rig, tmp_path: Path, manner: str, until: str) -> None:
     """By a kill while it mills, or in good order, its stdin closed, while the drill feels for the bone."""
     with contextlib.ExitStack() as serving:
@@ -160,6 +163,7 @@ def killed_while_milling(rig: Rig, rig_file: Path, folder: Path) -> Path:
     return record
 
 
+@pytest.mark.slow
 def test_a_run_that_is_killed_leaves_the_drill_lifted_and_the_spindle_still(rig: Rig, tmp_path: Path) -> None:
     """Nobody is left but the supervisor and the drive."""
     clock = SystemClock()

@@ -34,6 +34,7 @@ def test_a_lift_is_no_motion_along_the_way() -> None:
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+@pytest.mark.slow
 def test_a_click_stops_the_tip_also_while_the_program_that_moves_it_is_frozen() -> None:
     """The better of two clicks, since this machine may be busy with something else."""
     with stage() as all_of_it:
