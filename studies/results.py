@@ -4,7 +4,8 @@
 
 where each JSON comes from ``mill run --emulate --seed N --json run-N.json``, from ``python -m studies.virtual_runs``,
 from ``mill experiment``, from ``python -m benchmarks.stop_latency``, or from ``studies.fault_table``, ``killed_runs``,
-``killed_processes`` and ``doctor_trials``.
+``killed_processes`` and ``doctor_trials``. A section of which no JSON is given stays as it is in the file: some take
+hours.
 """
 
 import argparse
@@ -18,20 +19,59 @@ from studies.tables import tables
 from studies.trials import wilson
 from vision.runtime import WEIGHTS, read_manifest
 
-CHOSEN_ON = "6, 10, 16 to 57 and 100 to 119, and on mice 0 to 23 of the milling experiment"
+_HEAD = """# Results
+
+Measured on the virtual bench. This is simulation: none of it says anything about tissue.
+
+The figures of `milling/limits.py` and `milling/thickness.py` were chosen on seeds 6, 10, 16 to 57 and 100 to 119, and
+on mice 0 to 23 of the milling experiment: only others are a fair test."""
+_REAL_TIME = [
+    "## Whole runs in real time",
+    "",
+    "`mill run --emulate --seed N --json run-N.json`, default job, one run after the other on two cores.",
+    "",
+]
+_VIRTUAL = [
+    "## Whole runs on the virtual clock",
+    "",
+    "`python -m studies.virtual_runs --seeds 0-9 --out DIR`, default job: the same drivers, networks and loop over",
+    "in-process wires.",
+    "",
+]
 
 
-def page(manifest: dict[str, dict[str, Any]], results: Sequence[dict[str, Any]]) -> str:
-    """The page, as Markdown."""
-    experiments = [result for result in results if result["command"].startswith("experiment")]
-    latencies = [result for result in results if result["command"] == "stop latency"]
-    others = [result for result in results if result["command"] in SECTIONS]
-    runs = [result for result in results if result not in experiments + latencies + others]
+def page(manifest: dict[str, dict[str, Any]], results: Sequence[dict[str, Any]], before: str = "") -> str:
+    """The page, as Markdown; ``before`` is the page as it was."""
+    made = [_networks(manifest)]
+    for result in results:
+        if result["command"].startswith("experiment"):
+            made.append(_experiment(result))
+        elif result["command"] == "stop latency":
+            made.append(_latency(result))
+        elif result["command"] in SECTIONS:
+            made.append(SECTIONS[result["command"]](result))
+    for command, heading in (("run", _REAL_TIME), ("virtual run", _VIRTUAL)):
+        if runs := [result for result in results if result["command"] == command]:
+            made.append([*heading, *_table(runs), ""])
+    sections = _sections(before) | {lines[0]: "\n".join(lines[1:]).strip("\n") for lines in made}
+    return "\n\n".join([_HEAD, *(f"{title}\n\n{text}" for title, text in sections.items())]) + "\n"
+
+
+def _sections(text: str) -> dict[str, str]:
+    """What stands under each heading, in order."""
+    sections: dict[str, list[str]] = {}
+    lines: list[str] = []
+    for line in text.splitlines():
+        if line.startswith("## "):
+            lines = sections.setdefault(line, [])
+        else:
+            lines.append(line)
+    return {title: "\n".join(lines).strip("\n") for title, lines in sections.items()}
+
+
+def _networks(manifest: dict[str, dict[str, Any]]) -> list[str]:
+    """Held-out figures of the weights."""
     lines = [
-        "# Results",
-        "",
-        "Measured on the virtual bench. This is simulation: none of it says anything about tissue.",
-        "",
         "## Networks, on specimens and rigs that training never saw",
         "",
         "Made by `make weights`, which runs `mill train tip|landmarks|completion`, measured by `mill evaluate`;",
@@ -42,26 +82,7 @@ def page(manifest: dict[str, dict[str, Any]], results: Sequence[dict[str, Any]])
         lines += [f"### {name}", "", "| figure | value |", "|---|---|"]
         lines += [f"| {figure} | {value:.4g} |" for figure, value in entry["held_out"].items()]
         lines.append("")
-    for experiment in experiments:
-        lines += _experiment(experiment)
-    for latency in latencies:
-        lines += _latency(latency)
-    for other in others:
-        lines += SECTIONS[other["command"]](other)
-    lines += [
-        f"The figures of `milling/limits.py` and `milling/thickness.py` were chosen on seeds {CHOSEN_ON}:",
-        "only others are a fair test.",
-        "",
-    ]
-    in_real_time = [run for run in runs if run["command"] == "run"]
-    virtual = [run for run in runs if run["command"] != "run"]
-    lines += ["## Whole runs in real time", ""]
-    lines += ["`mill run --emulate --seed N --json run-N.json`, default job, one run after the other on two cores.", ""]
-    lines += [*_table(in_real_time), "", "## Whole runs on the virtual clock", ""]
-    how = "the same drivers, networks and loop over in-process wires"
-    lines += [f"`python -m studies.virtual_runs --seeds 0-9 --out DIR`, default job: {how}.", ""]
-    lines += _table(virtual)
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def _experiment(result: dict[str, Any]) -> list[str]:
@@ -72,9 +93,11 @@ def _experiment(result: dict[str, Any]) -> list[str]:
     option = {"calibration": "rigs", "milling": "trials"}.get(what, "specimens-count")
     others = " --paper-weights FILE" if what == "completion" and "paper" in recipes else ""
     others += "".join(f" --policy {policy}" for policy in recipes) if what == "milling" else ""
-    others += "".join(f" {words}" for words in result.get("asked", ()))
+    asked = "".join(f" {words}" for words in result.get("asked", ()))
+    others += asked
+    title = f"## Experiment: {what}" + (f", {', '.join(recipes)}{asked}" if what == "milling" else "")
     lines = [
-        f"## Experiment: {what}",
+        title,
         "",
         f"`mill {result['command']} --{option} {count} --seed {result['seed']}{others} --out DIR --json FILE`;",
         "every recipe on the same virtual specimens and rigs, which no network has seen; figures of all trials that",
@@ -150,7 +173,8 @@ def main() -> None:
     parser.add_argument("results", type=Path, nargs="*")
     given = parser.parse_args()
     results = [json.loads(path.read_text(encoding="utf-8")) for path in given.results]
-    given.out.write_text(page(read_manifest(WEIGHTS), results), encoding="utf-8")
+    before = given.out.read_text(encoding="utf-8") if given.out.is_file() else ""
+    given.out.write_text(page(read_manifest(WEIGHTS), results, before), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -11,10 +11,12 @@ def test_wilson_matches_the_published_interval_of_six_of_seven() -> None:
     assert (low, high) == (pytest.approx(0.487, abs=0.001), pytest.approx(0.974, abs=0.001))
 
 
+TRUTH = {"success": True, "flap_free": True, "membrane_touched": False, "heat_rise_c": 8.0}
+
+
 def test_a_held_run_is_no_success_even_with_a_free_flap() -> None:
-    truth = {"success": True, "flap_free": True, "membrane_touched": False, "heat_rise_c": 8.0}
     runs: list[dict[str, object]] = [
-        {"command": "run", "seed": seed, "outcome": outcome, "milling_time_s": 150.0, "truth": truth}
+        {"command": "run", "seed": seed, "outcome": outcome, "milling_time_s": 150.0, "truth": TRUTH}
         for seed, outcome in enumerate(("complete", "held"))
     ]
     runs.append({**runs[0], "command": "virtual run", "seed": 7})
@@ -40,7 +42,25 @@ def test_an_experiment_tells_its_command_its_count_and_its_intervals() -> None:
     assert "mill experiment surface --specimens-count 9 --seed 3" in text
     assert "| failed | 0 | 9 |  |" in text
     assert "| height_rmse_mm | 0.02 (0.015 to 0.025) | - | 0.1 |" in text
-    assert "None were given" in text
+
+
+def test_a_section_of_which_nothing_is_given_stays_as_it_was() -> None:
+    runs: list[dict[str, object]] = [
+        {"command": "run", "seed": seed, "outcome": "held", "milling_time_s": 150.0, "truth": TRUTH} for seed in (3, 4)
+    ]
+    latency = {"command": "stop latency", "alarms": 7, "hogs": 6}
+    latency |= {
+        f"{who}_{q}_ms": 1.5 for who in ("supervisor", "told", "shared_interpreter") for q in ("p50", "p99", "max")
+    }
+    both = page({}, [latency, runs[0]])
+    again = page({}, [runs[1]], both)
+    assert "--alarms 7" in again
+    assert "| 4 | held" in again
+    assert "| 3 | held" not in again
+    assert page({}, [latency], again) == again
+    assert [line for line in again.splitlines() if line.startswith("#")] == [
+        line for line in both.splitlines() if line.startswith("#")
+    ]
 
 
 def test_seeds_are_named_by_ranges() -> None:
