@@ -145,6 +145,22 @@ def test_bone_where_the_surface_promises_air_is_refused() -> None:
         search.find_all(XY, [0.5] * 6, [0.0] * 6, lambda *_: None)
 
 
+@pytest.mark.parametrize("at_step", [0, 1])
+def test_a_whim_of_the_torque_at_the_very_start_is_no_bone(at_step: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    search, drill = finder(0.0)
+    felt, asked = search._felt, []
+
+    def with_a_whim() -> bool:
+        asked.append(search.hands.motion.status().position_mm[2])
+        return felt() or len(asked) == at_step + 1
+
+    monkeypatch.setattr(search, "_felt", with_a_whim)
+    found = search.find_all(XY, [z + 0.5 for z in BONE], BONE, lambda *_: None)
+    np.testing.assert_allclose(found, BONE, atol=STEP_MM)
+    assert asked[at_step + 1] == pytest.approx(asked[0]), "no deeper before air was felt again"
+    assert drill.deepest > -2 * STEP_MM - 1e-9
+
+
 def test_an_idle_torque_that_wanders_is_no_baseline() -> None:
     search, drill = finder(-9.0)
     assert measure_idle(search.hands).mean == pytest.approx(0.08, abs=0.005)
