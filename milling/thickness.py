@@ -45,6 +45,9 @@ BONE_PASSES = 48
 """Passes over what is bone for certain, whose median load counts as 1: the torque of the air drifts."""
 BONE_PASSES_LEAST = 16
 MOST_DRIFT = 0.1
+DRIFT_A_PASS = 1.5e-4
+"""9 % a minute, at ten passes a second. Were it quicker, pictures that are stuck and say "bone" at every point would
+let the droop of all holes pass for drift."""
 MOST_LOAD = 1.2
 """More than bone takes: something else is cut as well, and says nothing about what is below the ball."""
 SETTLED_MM = 0.12
@@ -103,23 +106,33 @@ class Thickness:
         self._medians: list[list[tuple[float, float]]] = [[] for _ in range(n_points)]
         """Median readings that were not "through", and their depths, which grow."""
         self._bone: deque[float] = deque(maxlen=BONE_PASSES)
+        self._level, self._has_level = 1.0, False
+        """What bone takes now, and whether enough passes have told."""
         self._below: Floats | None = None
         """(n, grid) probability that T is below; None where evidence came since."""
 
     def weighed(self, index: int, depth_mm: float, ratio: float) -> None:
         """A pass that ended at ``depth_mm`` took ``ratio`` of what bone takes."""
         if depth_mm > SETTLED_MM and self.through(index, depth_mm + CERTAIN_MM) < CERTAIN:
-            self._bone.append(ratio)
-        level = 1.0
-        if len(self._bone) >= BONE_PASSES_LEAST:
-            level = min(max(median(self._bone), 1 - MOST_DRIFT), 1 + MOST_DRIFT)
-        if ratio / level > MOST_LOAD:
+            self._follow_bone(ratio)
+        ratio /= self._level
+        if ratio > MOST_LOAD:
             return
-        misfit = ratio / level - np.interp(depth_mm - self._grid, LOAD_AT_MM, LOAD)
+        misfit = ratio - np.interp(depth_mm - self._grid, LOAD_AT_MM, LOAD)
         self._misfit[0, index] += misfit
         self._misfit[1, index] += misfit**2
         self._passes[index] += 1
         self._below = None
+
+    def _follow_bone(self, ratio: float) -> None:
+        """A pass over bone: the drift of the torque moves the level slowly, what droops faster is a hole."""
+        self._bone.append(ratio)
+        if len(self._bone) < BONE_PASSES_LEAST:
+            return
+        said = min(max(median(self._bone), 1 - MOST_DRIFT), 1 + MOST_DRIFT)
+        most = DRIFT_A_PASS if self._has_level else MOST_DRIFT
+        self._level += min(max(said - self._level, -most), most)
+        self._has_level = True
 
     def pictured(self, index: int, depth_mm: float, completion: float) -> None:
         """A picture of the point, cut to ``depth_mm``, reads as ``completion``."""

@@ -165,3 +165,16 @@ def test_passes_that_are_all_wrong_alike_are_no_more_certain_than_some_of_them()
     for depth_mm in np.arange(0.25, 0.35, 0.002):
         estimate.weighed(0, float(depth_mm), 0.95)
     assert estimate.through(0, 0.3) < 0.5
+
+
+def test_the_droop_of_all_holes_under_stuck_pictures_is_no_drift_of_the_torque() -> None:
+    """Every picture says "bone" for ever; were the level of bone learned from such passes, no hole would be felt."""
+    estimate, n, thickness_mm = Thickness(32, Limits(), pitch_mm=PITCH_MM), 32, 0.35
+    for depth_mm in np.arange(0.06, thickness_mm + 0.05, 0.012):
+        ratio = float(np.interp(depth_mm - thickness_mm, LOAD_AT_MM, LOAD))
+        for index in range(n):
+            for _ in range(3):
+                estimate.pictured(index, float(depth_mm), min(0.73, float(depth_mm) / thickness_mm))
+            estimate.weighed(index, float(depth_mm), ratio)
+    assert estimate._level == pytest.approx(1.0, abs=0.03)
+    assert middle_mm(estimate, 3) == pytest.approx(thickness_mm, abs=0.02)
