@@ -36,6 +36,7 @@ def opened_by(command: Command, browser: Tab) -> None:
     browser.open(command.out.split()[1])
 
 
+@pytest.mark.slow
 def test_calibrate_shows_its_setpoints_and_the_button_ends_it(browser: Tab, tmp_path: Path) -> None:
     out = tmp_path / "calibration.toml"
     with started("calibrate", "--emulate", "--live", "--out", str(out)) as calibrate:

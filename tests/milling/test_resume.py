@@ -65,6 +65,7 @@ def test_the_journal_tells_where_every_point_stands(halved: tuple[VirtualRig, Pa
     assert standing.top_z_mm == pytest.approx([point["contact_mm"] for point in result.points], abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_window_is_ended_by_a_second_run(halved: tuple[VirtualRig, Path, RunResult], tmp_path: Path) -> None:
     rig, folder, before = halved
     standing = standing_of(read_run(folder), JOB)

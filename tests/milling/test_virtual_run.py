@@ -113,6 +113,7 @@ def test_contact_is_found_within_a_step(finished: tuple[RunResult, VirtualRig, R
         assert abs(event["z_mm"] + tool.ball_radius_mm * tool.axis[2] - touching) < 0.03
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_events_byte_for_byte(
     finished: tuple[RunResult, VirtualRig, Run, Path], bench: VirtualRig, tmp_path: Path
 ) -> None:

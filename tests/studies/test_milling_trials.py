@@ -63,6 +63,7 @@ def test_each_mouse_meets_every_policy() -> None:
     assert list(trials) == ["mouse-5-default", "mouse-5-paper", "mouse-6-default", "mouse-6-paper"]
 
 
+@pytest.mark.slow
 def test_a_mouse_with_blind_eyes_is_not_harmed(tmp_path: Path) -> None:
     """The paper's failure: completion that never reads "through" anywhere."""
     figures = milling_trials.mill_one(World(11), "default", ("vision.low=0.7:all",), True, tmp_path)
