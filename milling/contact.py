@@ -135,6 +135,7 @@ class ContactFinder:
                 )
             if not self._loaded((x, y, z)):
                 touched_at = None
+                self._follow_air()
             elif touched_at is None:
                 if z > start - 1.5 * STEP_MM:
                     return None

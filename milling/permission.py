@@ -27,8 +27,8 @@ from milling.point import Grant, Point, PointState
 class Estimate(Protocol):
     """What all cues together say of the bone under each point; ``milling.thickness.Thickness``."""
 
-    def weighed(self, index: int, depth_mm: float, ratio: float) -> None:
-        """A pass that ended at ``depth_mm`` took ``ratio`` of what bone takes."""
+    def weighed(self, index: int, depth_mm: float, ratio: float, *, beside_mm: float) -> None:
+        """A pass that ended at ``depth_mm``, its neighbours at ``beside_mm`` in the mean, took that ``ratio``."""
 
     def pictured(self, index: int, depth_mm: float, completion: float) -> None:
         """A picture of the point, cut to ``depth_mm``, reads as ``completion``."""
@@ -90,13 +90,13 @@ class Ledger:
         point = self._points[index]
         if ratio is not None:
             self._stale = True
-            self.thickness.weighed(index, point.cut_mm, ratio)
+            self._weigh(index, ratio)
         point.felt(ratio=ratio, above_idle=above_idle)
 
     def ask(self, index: int, *, bite_mm: float, now_s: float, frame_at_s: float) -> Grant:
         """How deep the tip may go at this visit. Asking again within one visit never adds to it."""
         point, self._bite_mm = self.points[index], bite_mm
-        deepest_mm = self._shallower_neighbour_mm(index) + self.limits.neighbour_mm
+        deepest_mm = min(self._beside_mm(index)) + self.limits.neighbour_mm
         grant = point.judge(bite_mm, now_s, frame_at_s, deepest_mm=deepest_mm, said_mm=self._said_mm)
         if grant.deeper and self._too_deep(index, grant.depth_mm):
             grant = Grant(point.cut_mm, False, "the bite may lead too deep")
@@ -136,7 +136,7 @@ class Ledger:
         point.unheard_mm += max(0.0, depth_mm - point.cut_mm)
         point.cut_mm = max(point.cut_mm, depth_mm)
         if ratio is not None:
-            self.thickness.weighed(index, point.cut_mm, ratio)
+            self._weigh(index, ratio)
         self._stale = True
 
     def void(self, index: int) -> None:
@@ -222,10 +222,15 @@ class Ledger:
     def _too_deep(self, index: int, depth_mm: float) -> bool:
         return self.thickness.through(index, depth_mm - self.limits.past_mm) > self.limits.past_risk
 
-    def _shallower_neighbour_mm(self, index: int) -> float:
-        """Bone does not change its thickness from one point to the next, so depths that part tell of a wrong cue.
+    def _weigh(self, index: int, ratio: float) -> None:
+        beside_mm = sum(self._beside_mm(index)) / 2
+        self.thickness.weighed(index, self._points[index].cut_mm, ratio, beside_mm=beside_mm)
 
-        And a ball that digs beside a ridge cuts into its flank: the load there says nothing about the bone below.
+    def _beside_mm(self, index: int) -> tuple[float, float]:
+        """Depths of its neighbours.
+
+        Bone does not change its thickness from one point to the next, so depths that part tell of a wrong cue. And a
+        ball that digs deeper than beside it cuts into its flanks: load there is no evidence of bone below.
         """
         n = len(self._points)
-        return min(self._points[(index - 1) % n].cut_mm, self._points[(index + 1) % n].cut_mm)
+        return self._points[(index - 1) % n].cut_mm, self._points[(index + 1) % n].cut_mm

@@ -4,8 +4,9 @@ T is the depth below a point's own contact, as commanded, at which the ball's sp
 bone gives way by some 10 um under a pass, so the hole itself opens a little later. Every cue says something about T,
 and says it with a known error (decision 0044; ``python -m studies.cue_errors`` measures it):
 
-- the load of a pass, against what bone takes, is 0.98 where 30 um are left, 0.95 at T, and 0.75 at 45 um past it.
-  Passes vary by 0.07, and all passes of one point may be wrong together by 0.05;
+- the load of a pass, against what bone takes, is 0.98 where a tenth of T is left, 0.95 at T, and 0.75 at 1.13 T: the
+  hole opens the later the thicker the bone. Passes vary by 0.07, and all passes of one point may be wrong together by
+  0.05. In a pit, deeper than its neighbours, the ball cuts its flanks as well: load is no evidence of bone there;
 - the completion read from a picture is the share depth / T that is cut, to some 0.07, until there is a hole; a hole
   shows from 13 um past T on, to 12 um;
 - bone changes its thickness by some 25 um (10 to 39) from one point to the next.
@@ -32,9 +33,13 @@ Floats = npt.NDArray[np.float64]
 GRID_MM = 0.005
 LOWEST_MM = 0.05
 
-LOAD_AT_MM = (-0.08, -0.06, -0.045, -0.03, -0.015, -0.005, 0.005, 0.015, 0.025, 0.035, 0.045, 0.057, 0.08, 0.12)
-LOAD = (1.0, 0.997, 0.99, 0.978, 0.965, 0.958, 0.948, 0.922, 0.866, 0.8, 0.745, 0.705, 0.65, 0.57)
-"""Load, as a share of what bone takes, at those distances past T."""
+LOAD_AT = (
+    0.761, 0.821, 0.866, 0.91, 0.955, 0.985, 1.015, 1.045, 1.075, 1.104, 1.134, 1.17, 1.239, 1.358
+)  # fmt: skip
+LOAD = (
+    1.0, 0.997, 0.99, 0.978, 0.965, 0.958, 0.948, 0.922, 0.866, 0.8, 0.745, 0.705, 0.65, 0.57
+)  # fmt: skip
+"""Load, as a share of what bone takes, at those shares depth / T."""
 LOAD_SIGMA = 0.12
 """Of one pass; 0.07 was measured, more is used because errors of passes that follow each other are alike."""
 POINT_SIGMA = 0.05
@@ -50,6 +55,8 @@ DRIFT_A_PASS = 1.5e-4
 let the droop of all holes pass for drift."""
 MOST_LOAD = 1.2
 """More than bone takes: something else is cut as well, and says nothing about what is below the ball."""
+PIT_MM = 0.015
+"""So much deeper than the mean of its neighbours a point is a pit."""
 SETTLED_MM = 0.12
 CERTAIN_MM = 0.02
 CERTAIN = 0.05
@@ -111,14 +118,16 @@ class Thickness:
         self._below: Floats | None = None
         """(n, grid) probability that T is below; None where evidence came since."""
 
-    def weighed(self, index: int, depth_mm: float, ratio: float) -> None:
-        """A pass that ended at ``depth_mm`` took ``ratio`` of what bone takes."""
+    def weighed(self, index: int, depth_mm: float, ratio: float, *, beside_mm: float) -> None:
+        """A pass that ended at ``depth_mm``, its neighbours at ``beside_mm`` in the mean, took that ``ratio``."""
         if depth_mm > SETTLED_MM and self.through(index, depth_mm + CERTAIN_MM) < CERTAIN:
             self._follow_bone(ratio)
         ratio /= self._level
         if ratio > MOST_LOAD:
             return
-        misfit = ratio - np.interp(depth_mm - self._grid, LOAD_AT_MM, LOAD)
+        misfit = ratio - np.interp(depth_mm / self._grid, LOAD_AT, LOAD)
+        if depth_mm > beside_mm + PIT_MM:
+            misfit = np.minimum(misfit, 0.0)
         self._misfit[0, index] += misfit
         self._misfit[1, index] += misfit**2
         self._passes[index] += 1

@@ -23,10 +23,21 @@ def touched(n: int = 8, limits: Limits = LIMITS) -> Ledger:
     return ledger
 
 
-def visit(ledger: Ledger, index: int, now_s: float, *, completion: float = 0.2, ratio: float | None = 1.0) -> float:
-    """A whole visit with good evidence: a bite, the pass, its load, a picture of it."""
+def visit(
+    ledger: Ledger,
+    index: int,
+    now_s: float,
+    *,
+    completion: float = 0.2,
+    ratio: float | None = 1.0,
+    alone: bool = False,
+) -> float:
+    """A whole visit with good evidence: a bite, the pass, its load, a picture of it; its neighbours are as deep."""
     grant = ledger.ask(index, bite_mm=BITE_MM, now_s=now_s, frame_at_s=now_s - 0.05)
     ledger.passed(index, depth_mm=grant.depth_mm, now_s=now_s + 0.1)
+    if not alone:
+        for beside in (index - 1, (index + 1) % len(ledger.points)):
+            ledger.points[beside].cut_mm = max(ledger.points[beside].cut_mm, grant.depth_mm)
     if grant.deeper:
         ledger.felt(index, ratio=ratio, above_idle=True)
     ledger.seen(index, completion=completion, upper=min(completion + 0.1, 1.0), exposed_at_s=now_s + 0.2)
@@ -76,7 +87,8 @@ class Bone:
     def lap(self) -> None:
         """One visit to every point."""
         for index in range(len(self.thickness_mm)):
-            visit(self.ledger, index, self.now_s, completion=self.completion(index), ratio=self.ratio(index))
+            said, felt = self.completion(index), self.ratio(index)
+            visit(self.ledger, index, self.now_s, completion=said, ratio=felt, alone=True)
         self.now_s += 3.0
 
     def mill(self) -> None:

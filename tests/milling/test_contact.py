@@ -112,6 +112,14 @@ def test_a_torque_whose_zero_drifts_is_no_contact(drift: float) -> None:
     assert search.idle.mean != pytest.approx(0.08, abs=0.004), "it drifted by more than a touch"
 
 
+def test_a_zero_that_drifts_on_a_long_way_down_is_no_contact() -> None:
+    search, drill = finder(0.0)
+    drill.drift_per_s = 0.02
+    found = search.find_all([(0.0, 0.0)], [0.5], [0.0], lambda *_: None)
+    assert search.idle.mean - 0.08 > 0.008, "it drifted by more than a touch"
+    assert found == pytest.approx([0.0], abs=STEP_MM)
+
+
 def test_bone_met_on_the_way_across_hardly_moves_the_zero() -> None:
     search, drill = finder(-9.0)
     search.hands.on_torque.append(search._hear)

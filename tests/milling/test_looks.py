@@ -88,11 +88,10 @@ def test_a_point_that_rests_goes_on_when_its_neighbours_prove_deeper() -> None:
         now_s += 3.0
     assert ledger.points[0].resting
     rested_mm = ledger.cut_mm(0)
-    for index in (1, 2, 6, 7):
-        later_s = now_s
-        while ledger.cut_mm(index) < rested_mm + 0.13:
-            visit(ledger, index, later_s)
-            later_s += 3.0
+    for lap in range(50):
+        for index in range(1, 8):
+            if ledger.cut_mm(index) < rested_mm + 0.13:
+                visit(ledger, index, now_s + 3.0 * lap, alone=True)
     visit(ledger, 0, now_s + 1e3, completion=0.8)
     assert ledger.points[0].state is PointState.OPEN
 
@@ -195,11 +194,11 @@ def test_a_point_waits_for_its_shallower_neighbour_also_when_it_is_reopened() ->
     ledger = touched(limits=Limits())
     now_s = 1.0
     for _ in range(40):
-        visit(ledger, 0, now_s)
-        visit(ledger, 1, now_s)
+        visit(ledger, 0, now_s, alone=True)
+        visit(ledger, 1, now_s, alone=True)
         now_s += 3.0
     assert 0.03 < ledger.cut_mm(0) <= Limits().neighbour_mm, "the neighbour on the other side is untouched"
     ledger.stall()
     ledger.look(0)
-    visit(ledger, 0, now_s)
+    visit(ledger, 0, now_s, alone=True)
     assert ledger.cut_mm(0) <= Limits().neighbour_mm

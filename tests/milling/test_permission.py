@@ -134,6 +134,7 @@ def test_late_bites_are_small() -> None:
             + 1e-9
         )
         ledger.passed(0, depth_mm=grant.depth_mm, now_s=now_s + 0.1)
+        ledger.points[1].cut_mm = ledger.points[-1].cut_mm = grant.depth_mm
         ledger.felt(0, ratio=1.0, above_idle=True)
         ledger.seen(0, completion=0.3, upper=0.4, exposed_at_s=now_s + 0.2)
         last, now_s = grant.depth_mm, now_s + 3.0

@@ -22,13 +22,13 @@ class Said:
     surely_mm: float = 9.0
     maybe_mm: float = 9.0
     maybe: float = 0.0
-    weighed_at: list[tuple[int, float, float]] = field(default_factory=list)
+    weighed_at: list[tuple[int, float, float, float]] = field(default_factory=list)
     pictured_at: list[tuple[int, float, float]] = field(default_factory=list)
     forgotten: list[int] = field(default_factory=list)
     recalled: list[tuple[int, dict[str, Any]]] = field(default_factory=list)
 
-    def weighed(self, index: int, depth_mm: float, ratio: float) -> None:
-        self.weighed_at.append((index, depth_mm, ratio))
+    def weighed(self, index: int, depth_mm: float, ratio: float, *, beside_mm: float) -> None:
+        self.weighed_at.append((index, depth_mm, ratio, beside_mm))
 
     def pictured(self, index: int, depth_mm: float, completion: float) -> None:
         self.pictured_at.append((index, depth_mm, completion))
@@ -446,14 +446,15 @@ def test_a_stall_stops_the_open_points_and_says_what_they_waited_for() -> None:
 def test_the_estimate_hears_what_counts() -> None:
     ledger, said = ring(cut_mm=0.21)
     said.pictured_at.clear()
+    ledger.points[1].cut_mm, ledger.points[-1].cut_mm = 0.2, 0.16
     ledger.felt(0, ratio=0.9, above_idle=True)
     ledger.felt(0, ratio=None, above_idle=True)
     ledger.seen(0, completion=0.5, upper=0.6, exposed_at_s=2.0)
     ledger.seen(0, completion=0.5, upper=0.6, exposed_at_s=2.0)
-    assert (said.weighed_at, said.pictured_at) == ([(0, 0.21, 0.9)], [(0, 0.21, 0.5)])
+    assert (said.weighed_at, said.pictured_at) == ([(0, 0.21, 0.9, pytest.approx(0.18))], [(0, 0.21, 0.5)])
     ledger.recall(0, depth_mm=0.2, ratio=0.8)
     assert ledger.cut_mm(0) == 0.21, "what was cut stays cut"
-    assert said.weighed_at[-1] == (0, 0.21, 0.8)
+    assert said.weighed_at[-1] == (0, 0.21, 0.8, pytest.approx(0.18))
     assert ledger.completion(0) == 0.5
 
 

@@ -5,7 +5,7 @@ import pytest
 from ledgers import PITCH_MM
 
 from milling.limits import Limits
-from milling.thickness import LOAD, LOAD_AT_MM, Thickness
+from milling.thickness import LOAD, LOAD_AT, Thickness
 
 N = 8
 
@@ -17,8 +17,8 @@ def fresh() -> Thickness:
 def weigh(estimate: Thickness, index: int, thickness_mm: float, to_mm: float, *, level: float = 1.0) -> None:
     """Noiseless passes of 13 um down to ``to_mm``."""
     for depth_mm in np.arange(0.065, to_mm + 1e-9, 0.013):
-        ratio = level * float(np.interp(depth_mm - thickness_mm, LOAD_AT_MM, LOAD))
-        estimate.weighed(index, float(depth_mm), ratio)
+        ratio = level * float(np.interp(depth_mm / thickness_mm, LOAD_AT, LOAD))
+        estimate.weighed(index, float(depth_mm), ratio, beside_mm=float(depth_mm))
 
 
 def middle_mm(estimate: Thickness, index: int) -> float:
@@ -134,8 +134,8 @@ def test_a_drifting_zero_is_no_breakthrough() -> None:
             weigh(estimate, index, 0.45, 0.25, level=level)
     for index in range(N):
         for depth_mm in (0.26, 0.273, 0.286, 0.3):
-            drifted.weighed(index, depth_mm, 0.93)
-            steady.weighed(index, depth_mm, 1.0)
+            drifted.weighed(index, depth_mm, 0.93, beside_mm=depth_mm)
+            steady.weighed(index, depth_mm, 1.0, beside_mm=depth_mm)
     assert drifted.through(2, 0.3) < 2 * steady.through(2, 0.3) + 0.02
 
 
@@ -151,19 +151,29 @@ def test_what_a_stuck_picture_said_before_a_hole_does_not_count_either() -> None
 
 
 def test_more_load_than_bone_takes_is_bone_and_much_more_is_nothing() -> None:
-    loud, plain, pit, none = fresh(), fresh(), fresh(), fresh()
-    loud.weighed(0, 0.4, 1.1)
-    plain.weighed(0, 0.4, 1.0)
-    pit.weighed(0, 0.4, 1.4)
+    loud, plain, rubs, none = fresh(), fresh(), fresh(), fresh()
+    loud.weighed(0, 0.4, 1.1, beside_mm=0.4)
+    plain.weighed(0, 0.4, 1.0, beside_mm=0.4)
+    rubs.weighed(0, 0.4, 1.4, beside_mm=0.4)
     assert loud.through(0, 0.4) < plain.through(0, 0.4)
-    assert pit.through(0, 0.4) == pytest.approx(none.through(0, 0.4))
+    assert rubs.through(0, 0.4) == pytest.approx(none.through(0, 0.4))
+
+
+def test_in_a_pit_the_flanks_are_cut_so_that_load_is_no_evidence_of_bone_but_its_absence_is_of_a_hole() -> None:
+    level, whole, droops, none = fresh(), fresh(), fresh(), fresh()
+    level.weighed(0, 0.4, 1.0, beside_mm=0.39)
+    whole.weighed(0, 0.4, 1.0, beside_mm=0.38)
+    droops.weighed(0, 0.4, 0.7, beside_mm=0.38)
+    assert level.through(0, 0.38) < 0.9 * none.through(0, 0.38)
+    assert whole.through(0, 0.38) == pytest.approx(none.through(0, 0.38), rel=0.01)
+    assert droops.through(0, 0.38) > 1.5 * none.through(0, 0.38)
 
 
 def test_passes_that_are_all_wrong_alike_are_no_more_certain_than_some_of_them() -> None:
     """A point whose reference is wrong by 5 % says so at each of its passes."""
     estimate = fresh()
     for depth_mm in np.arange(0.25, 0.35, 0.002):
-        estimate.weighed(0, float(depth_mm), 0.95)
+        estimate.weighed(0, float(depth_mm), 0.95, beside_mm=float(depth_mm))
     assert estimate.through(0, 0.3) < 0.5
 
 
@@ -171,10 +181,10 @@ def test_the_droop_of_all_holes_under_stuck_pictures_is_no_drift_of_the_torque()
     """Every picture says "bone" for ever; were the level of bone learned from such passes, no hole would be felt."""
     estimate, n, thickness_mm = Thickness(32, Limits(), pitch_mm=PITCH_MM), 32, 0.35
     for depth_mm in np.arange(0.06, thickness_mm + 0.05, 0.012):
-        ratio = float(np.interp(depth_mm - thickness_mm, LOAD_AT_MM, LOAD))
+        ratio = float(np.interp(depth_mm / thickness_mm, LOAD_AT, LOAD))
         for index in range(n):
             for _ in range(3):
                 estimate.pictured(index, float(depth_mm), min(0.73, float(depth_mm) / thickness_mm))
-            estimate.weighed(index, float(depth_mm), ratio)
+            estimate.weighed(index, float(depth_mm), ratio, beside_mm=float(depth_mm))
     assert estimate._level == pytest.approx(1.0, abs=0.03)
     assert middle_mm(estimate, 3) == pytest.approx(thickness_mm, abs=0.02)
