@@ -53,6 +53,10 @@ class Playback:
 
     def read(self, timeout_s: float) -> str | None:
         """What came in next. Who waits is given it whenever it came: the trace says that nothing was written before."""
+        if not self.raised and self.entries and self.entries[0].kind == "error":
+            # The call is about to raise it; nothing came before.
+            self._now_s += timeout_s
+            return None
         entry = self._next()
         if entry is None or entry.kind != "in" or (timeout_s <= 0 and entry.t_s > self._now_s + SLACK_S):
             self._now_s += timeout_s
