@@ -86,6 +86,8 @@ SLOPE = 0.09
 """Change of thickness per mm along the ring, one sigma."""
 JUMP = 0.002
 """Weight of any change at all from one point to the next, against that of none."""
+_HEARD_FROM = 12
+"""Points away; what is known farther off tells next to nothing of a thickness here."""
 _SCALED_EVERY = 16
 """Points on the way round; a likelihood is never below the product of both floors, so that nothing underflows."""
 
@@ -246,7 +248,7 @@ class Thickness:
         return sorted(self._seen[index])[len(self._seen[index]) // 2]
 
     def _round_the_ring(self, likelihood: Floats) -> Floats:
-        """(n, grid) what each point knows together with its neighbours: sum-product, twice round in both directions."""
+        """(n, grid) what each point knows together with its neighbours: sum-product, round in both directions."""
         forward = _messages(likelihood, self._prior, self._change, range(self._n))
         backward = _messages(likelihood, np.ones_like(self._prior), self._back, range(self._n - 1, -1, -1))
         posterior = forward * backward * likelihood
@@ -266,12 +268,10 @@ def _messages(likelihood: Floats, start: Floats, change: Floats, order: Sequence
     """(n, grid) what arrives at each point from those before it in ``order``, but for a factor."""
     arrived = np.empty_like(likelihood)
     message, weighed = start.copy(), np.empty_like(start)
-    for goes_round in (False, True):
-        for number, index in enumerate(order):
-            if goes_round:
-                arrived[index] = message
-            np.multiply(message, likelihood[index], out=weighed)
-            np.dot(weighed, change, out=message)
-            if number % _SCALED_EVERY == 0:
-                message *= 1.0 / message.sum()
+    for number, index in enumerate((*order[-_HEARD_FROM:], *order)):
+        arrived[index] = message
+        np.multiply(message, likelihood[index], out=weighed)
+        np.dot(weighed, change, out=message)
+        if number % _SCALED_EVERY == 0:
+            message *= 1.0 / message.sum()
     return arrived
