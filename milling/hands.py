@@ -80,10 +80,10 @@ class Hands:
         return status
 
     def _live(self) -> None:
-        """A sign of life to the supervisor; long waits between them go into the record, for whoever wonders."""
+        """A sign of life to the supervisor; in the bone, long waits between them go into the record."""
         self._tell_guard(lambda guard: guard.beat())
         now_s = self.clock.now_s()
-        if now_s - self._beat_at_s > LATE_S:
+        if self._in_bone and now_s - self._beat_at_s > LATE_S:
             self.recorder.event("late", silent_s=now_s - self._beat_at_s)
         self._beat_at_s = now_s
 
@@ -213,7 +213,7 @@ class Hands:
 
     def into_the_bone(self) -> None:
         """From now on a silence of this process stops the motion."""
-        self._in_bone = True
+        self._in_bone, self._beat_at_s = True, self.clock.now_s()
         self._arm(True)
 
     def out_of_the_bone(self) -> None:
