@@ -174,6 +174,31 @@ def test_a_drive_that_is_lost_does_not_keep_the_drill_in_the_bone(at: At) -> Non
     assert abs(at.bench.machine.spindle_rpm) < 100.0, "the drive misses its host"
 
 
+class Told(NullRecorder):
+    """Keeps how long silences were."""
+
+    def __init__(self) -> None:
+        self.silent_s: list[float] = []
+
+    def event(self, kind: str, **fields: object) -> None:
+        if kind == "late":
+            self.silent_s.append(float(str(fields["silent_s"])))
+
+
+def test_long_silences_are_told_in_the_bone_where_somebody_counts_on_signs_of_life(at: At) -> None:
+    told = at.hands.recorder = Told()
+    for silence_s in (0.1, 0.07, 0.03):
+        at.clock.sleep_s(silence_s)
+        at.hands.beat()
+    assert told.silent_s == [], "in the air this process may take its time"
+    at.clock.sleep_s(0.1)
+    at.hands.into_the_bone()
+    for silence_s in (0.03, 0.07, 0.03):
+        at.clock.sleep_s(silence_s)
+        at.hands.beat()
+    assert told.silent_s == [pytest.approx(0.07, abs=0.01)]
+
+
 class Full(NullRecorder):
     """A disk that takes nothing."""
 
