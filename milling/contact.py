@@ -1,8 +1,9 @@
 """Where the bone begins, at each point: felt by the spindle, not believed from the pictures.
 
 The tip goes down in single steps of 10 um. Each next step is permitted by the load of the one before it being that of
-air, so contact overruns by one step. Two steps with load in a row are contact. What the first points teach about
-the surface's error lets the later ones start close above the bone.
+air, so contact overruns by one step. What air takes is learned on the way, within bounds: bone must not pass for drift.
+Two steps with load in a row are contact. What the first points teach about the surface's error lets the later ones
+start close above the bone.
 """
 
 from collections.abc import Callable
@@ -29,8 +30,10 @@ IDLE_AGAIN_S = 0.25
 MOST_IDLE_DRIFT = 0.05
 AIR_WEIGHT = 0.5
 AIR_STEP = 0.25
-"""Sigmas that the torque of the air may change by from one point to the next. A drive's zero drifts by a tenth of that;
-bone, should it be met on the way across, would be a hundred times more."""
+"""Sigmas that the torque of the air may change by on the way from one point to the next, and at a step down. A drive's
+zero drifts by a tenth of that; bone, should it be met on the way across, would be a hundred times more."""
+AIR_DESCENT = 0.5
+"""Sigmas that it may rise by in all steps down at one place: bone that is met softly must not be learned as air."""
 
 
 @dataclass
@@ -46,6 +49,10 @@ class ContactFinder:
     _lowest_z_mm: float = float("-inf")
     _in_kerf: bool = False
     _error_mm: float | None = None
+    _first: Idle = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._first = self.idle
 
     def find_all(
         self,
@@ -126,6 +133,7 @@ class ContactFinder:
     def _descend(self, index: int, x: float, y: float, start: float) -> float | None:
         """Step down from the air; None where bone is met in the first step already."""
         z, touched_at = start, None
+        most = self.idle.mean + AIR_DESCENT * self.idle.sigma
         while True:
             z -= STEP_MM
             if z < max(self.floor_z_mm, self._lowest_z_mm):
@@ -135,7 +143,7 @@ class ContactFinder:
                 )
             if not self._loaded((x, y, z)):
                 touched_at = None
-                self._follow_air()
+                self._follow_air(most)
             elif touched_at is None:
                 if z > start - 1.5 * STEP_MM:
                     return None
@@ -144,12 +152,17 @@ class ContactFinder:
                 # The first step with load began in the air: contact lies within it.
                 return touched_at + STEP_MM / 2
 
-    def _follow_air(self) -> None:
-        """The zero of the torque drifts while points are felt for, by more than a touch within half a minute."""
+    def _follow_air(self, most: float = float("inf")) -> None:
+        """The zero of the torque drifts while points are felt for, by more than a touch within half a minute.
+
+        Raises:
+            SafetyStop: it is too far from what it was when the first point was felt for.
+        """
         if self._torques:
-            step = AIR_WEIGHT * (fmean(self._torques) - self.idle.mean)
-            most = AIR_STEP * self.idle.sigma
-            self.idle = Idle(self.idle.mean + min(max(step, -most), most), self.idle.sigma)
+            by = AIR_WEIGHT * (fmean(self._torques) - self.idle.mean)
+            step = AIR_STEP * self.idle.sigma
+            self.idle = Idle(min(self.idle.mean + min(max(by, -step), step), most), self.idle.sigma)
+            _require_near(self._first, self.idle)
 
     def _loaded(self, target: Vector) -> bool:
         """Step there, and tell whether the drill felt anything on the way."""
@@ -199,9 +212,13 @@ def measure_idle_again(hands: Hands, before: Idle) -> Idle:
     """
     idle = measure_idle(hands, settle_s=IDLE_AGAIN_S, duration_s=IDLE_AGAIN_S)
     hands.recorder.event("idle", torque=idle.mean, sigma=idle.sigma)
-    if abs(idle.mean - before.mean) > MOST_IDLE_DRIFT:
+    _require_near(before, idle)
+    return idle
+
+
+def _require_near(before: Idle, now: Idle) -> None:
+    if abs(now.mean - before.mean) > MOST_IDLE_DRIFT:
         raise SafetyStop(
-            f"the drill takes {idle.mean:.3f} of rated torque in the air, {before.mean:.3f} before, allowed is a "
+            f"the drill takes {now.mean:.3f} of rated torque in the air, {before.mean:.3f} before, allowed is a "
             f"change of {MOST_IDLE_DRIFT:g}: bone cannot be felt; look at drill and chuck"
         )
-    return idle

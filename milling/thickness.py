@@ -56,7 +56,8 @@ let the droop of all holes pass for drift."""
 MOST_LOAD = 1.2
 """More than bone takes: something else is cut as well, and says nothing about what is below the ball."""
 PIT_MM = 0.015
-"""So much deeper than the mean of its neighbours a point is a pit."""
+"""So much deeper than the mean of its neighbours a point is a pit. They are taken as they stand at the pass, where the
+one ahead has not been passed in this lap: half a bite of a level ring counts as well."""
 SETTLED_MM = 0.12
 CERTAIN_MM = 0.02
 CERTAIN = 0.05
@@ -87,7 +88,7 @@ SLOPE = 0.09
 JUMP = 0.002
 """Weight of any change at all from one point to the next, against that of none."""
 _HEARD_FROM = 12
-"""Points away; what is known farther off tells next to nothing of a thickness here."""
+"""Points away; once anything is cut, what is known farther off tells next to nothing of a thickness here."""
 _SCALED_EVERY = 16
 """Points on the way round; a likelihood is never below the product of both floors, so that nothing underflows."""
 

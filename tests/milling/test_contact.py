@@ -50,7 +50,7 @@ class Stage(MotionController):
 
 
 class Drill(Spindle):
-    """Feels the speed at which it goes down into bone whose height is a formula."""
+    """Feels how it goes down into bone whose height is a formula: at once, or by ``softness`` more at each mm."""
 
     identity = "formula"
     heartbeat_s = 0.25
@@ -58,6 +58,7 @@ class Drill(Spindle):
     def __init__(self, stage: Stage, bone_z: float, *, noise: float = 0.01) -> None:
         self.stage, self.bone_z, self.noise = stage, bone_z, noise
         self.drift_per_s = 0.0
+        self.softness: float | None = None
         self.rng = np.random.default_rng(1)
         self.deepest = float("inf")
 
@@ -66,7 +67,8 @@ class Drill(Spindle):
         z = self.stage.tip[2]
         height = self.bone_z + 0.1 * self.stage.tip[0]
         going_down = self.stage.moved_from[2] > z
-        load = 0.05 if going_down and z < height else 0.0
+        touch = 0.05 if self.softness is None else self.softness * (height - z)
+        load = touch if going_down and z < height else 0.0
         self.deepest = min(self.deepest, z - height)
         idle = 0.08 + self.drift_per_s * self.stage.clock.now_s()
         return SpindleStatus(RPM, idle + load + self.noise * self.rng.normal() / 4, None, self.stage.clock.now_s())
@@ -112,12 +114,38 @@ def test_a_torque_whose_zero_drifts_is_no_contact(drift: float) -> None:
     assert search.idle.mean != pytest.approx(0.08, abs=0.004), "it drifted by more than a touch"
 
 
-def test_a_zero_that_drifts_on_a_long_way_down_is_no_contact() -> None:
+def test_what_air_takes_is_learned_on_the_way_down_as_well() -> None:
+    """Believed too low by half of what a touch is, noise alone passes for a touch now and then."""
     search, drill = finder(0.0)
-    drill.drift_per_s = 0.02
-    found = search.find_all([(0.0, 0.0)], [0.5], [0.0], lambda *_: None)
-    assert search.idle.mean - 0.08 > 0.008, "it drifted by more than a touch"
-    assert found == pytest.approx([0.0], abs=STEP_MM)
+    sigma = 0.01
+    search.idle, drill.noise = Idle(0.08 - 0.6 * sigma, sigma), 0.0
+    search.find_all([(0.0, 0.0)], [0.1], [0.0], lambda *_: None)
+    assert -0.1 <= (search.idle.mean - 0.08) / sigma <= 0.25, "by a part of the touch at most, too much"
+
+
+@pytest.mark.parametrize(("sigma", "softness"), [(0.01, 0.8), (0.02, 0.8), (0.04, 0.8), (0.06, 5.3)])
+def test_bone_that_is_met_softly_is_not_learned_as_air(sigma: float, softness: float) -> None:
+    """As deep as where air is not learned at all, and a step or two more."""
+    deepest_mm = []
+    for follow in (False, True):
+        search, drill = finder(0.0)
+        drill.softness, drill.noise = softness, 4 * sigma
+        search.idle = Idle(0.08, sigma)
+        if not follow:
+            search._follow_air = lambda *_: None  # type: ignore[method-assign]
+        search.find_all([(0.0, 0.0)], [0.2], [0.0], lambda *_: None)
+        deepest_mm.append(drill.deepest)
+    assert deepest_mm[1] > deepest_mm[0] - 0.5 * sigma / softness - 3 * STEP_MM
+
+
+def test_air_that_takes_ever_more_is_no_air() -> None:
+    search, drill = finder(0.0)
+    search.idle = search._first = Idle(0.08, 0.01)
+    drill.drift_per_s = 0.01
+    places = [(0.3 * k, 0.0) for k in range(64)]
+    bone = [0.1 * x for x, _ in places]
+    with pytest.raises(SafetyStop, match="bone cannot be felt"):
+        search.find_all(places, [z + 0.5 for z in bone], bone, lambda *_: None)
 
 
 def test_bone_met_on_the_way_across_hardly_moves_the_zero() -> None:

@@ -30,6 +30,7 @@ class Playback:
         self.raised: list[str] = []
         self._beat = beat
         self._early = 0
+        self._silences = 0
         self._now_s = 0.0
 
     def now_s(self) -> float:
@@ -55,8 +56,11 @@ class Playback:
         """What came in next. Who waits is given it whenever it came: the trace says that nothing was written before."""
         if not self.raised and self.entries and self.entries[0].kind == "error":
             # The call is about to raise it; nothing came before.
+            self._silences += 1
+            assert self._silences < 100, f"a call is waited for to raise {self.entries[0].data!r}"
             self._now_s += timeout_s
             return None
+        self._silences = 0
         entry = self._next()
         if entry is None or entry.kind != "in" or (timeout_s <= 0 and entry.t_s > self._now_s + SLACK_S):
             self._now_s += timeout_s

@@ -49,18 +49,20 @@ def test_the_emulated_controller_answers_the_same(file: Path) -> None:
     log = read_trace(file)
     entries = [entry for entry in log.entries if entry.wire == "motion"]
     bench = Bench(seed=log.header["seed"], motion="bcap")
-    answers: list[str] = []
+    answers: list[bytes] = []
+    was: list[bytes] = []
     for entry in entries:
-        if entry.kind == "out":
-            bench.advance_to(entry.t_s)
+        bench.advance_to(entry.t_s)
+        while answer := bench.transmit():
+            answers.append(answer)
+        if entry.kind == "in":
+            was.append(entry.data.encode("latin-1"))
+            assert len(answers) >= len(was), f"line {entry.number} at {entry.t_s:.6f} s: not answered yet"
+        elif entry.kind == "out":
             bench.receive(entry.data.encode("latin-1"))
-    bench.advance_to(entries[-1].t_s + 0.05)
-    while answer := bench.transmit():
-        answers.append(answer.decode("latin-1"))
-    was = [entry.data for entry in entries if entry.kind == "in"]
     assert len(answers) == len(was)
     for now, before in zip(answers, was, strict=True):
-        said, told = decode(now.encode("latin-1")), decode(before.encode("latin-1"))
+        said, told = decode(now), decode(before)
         assert replace(said, arguments=()) == replace(told, arguments=())
         assert flat(said.arguments) == pytest.approx(flat(told.arguments), abs=POSITION_MM)
 
