@@ -14,6 +14,11 @@ def conclude(ledger: Ledger) -> tuple[Outcome, str]:
     if not left:
         return "complete", "every point is through, judged again with the drill aside"
     names = ", ".join(f"{index + 1} ({ledger.points[index].why})" for index in left)
-    if ledger.bridge_share <= BRIDGE_SHARE:
-        return "complete", f"the flap can be lifted, though these points are not through for certain: {names}"
-    return "held", f"these points may not be through, and no look may re-open them: {names}"
+    share = ledger.bridge_share
+    held = f"{100 * share:.1f} % of the ring may hold it"
+    if share <= BRIDGE_SHARE:
+        return "complete", f"the flap can be lifted ({held}), though these points are not through for certain: {names}"
+    return (
+        "held",
+        f"the flap may not be free ({held}); these points may not be through, and no look may re-open them: {names}",
+    )
