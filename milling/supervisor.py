@@ -67,7 +67,6 @@ class Tap:
         """The alarm that ends in these bytes, if one does."""
         heard = self._before + data
         self._before = heard[-LONGEST_ALARM:]
-        found = None
         for found in self._pattern.finditer(heard):
             if found.end() > len(heard) - len(data):
                 return found[0]

@@ -57,6 +57,27 @@ def test_an_alarm_in_pieces_is_one(wire, said, device: Device, monkeypatch: pyte
     assert device.heard() == b"t0811023\r"
 
 
+def test_who_disarms_while_an_alarm_comes_is_heard_before_it(
+    wire, said, device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near, far = wire
+    choose, looks = select.select, 0
+
+    def both_at_once(reads: list[int], *rest: object) -> tuple[list[int], list[int], list[int]]:
+        nonlocal looks
+        looks += 1
+        if looks == 2:
+            os.write(said, b"D\n")
+            os.write(device.far, b"t0811023\r")
+        return choose(reads, *rest)  # type: ignore[call-overload, no-any-return]
+
+    monkeypatch.setattr(supervisor.select, "select", both_at_once)
+    says_when_handed_on(monkeypatch, device, said, [b"Q\n"])
+    assert watched_with(device, near, said, "A") == ""
+    assert device.heard() == b"t0811023\r"
+    assert written(far) == b""
+
+
 def test_an_alarm_while_the_drill_is_out_of_the_bone_is_handed_on_and_never_counts_later(
     wire, said, device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,18 +166,20 @@ def test_who_does_not_read_what_is_handed_on_holds_nothing_up(wire, said, device
 
 
 def test_the_wire_of_a_device_is_an_argument(
-    wire: tuple[int, int], said: int, device: Device, monkeypatch: pytest.MonkeyPatch
+    wire: tuple[int, int], said: int, told: list[str], device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reads, tells = os.pipe()
     monkeypatch.setattr(supervisor, "STDOUT", tells)
     monkeypatch.setattr(supervisor.os, "sched_setscheduler", lambda *_: None)
     monkeypatch.setattr(supervisor.os, "setpriority", lambda *_: None)
-    words = ["supervisor.py", str(wire[0]), "5.0", "[]", str(device.tap.wire), str(device.tap._onward), CRY.hex()]
+    words = ["supervisor.py", str(wire[0]), "5.0", '[["21", 0.0]]', str(device.tap.wire), str(device.tap._onward), CRY.hex()]
     monkeypatch.setattr(sys, "argv", words)
     arm_first(monkeypatch)
     os.write(said, b"A\n")
     os.write(device.far, b"t0811\r")
     supervisor.main()
     assert os.read(reads, 64) == b"watching\n"
+    assert told == [f"alarm {b't0811'.hex()}0d"]
+    assert device.heard() == b"t0811\r"
     for end in (reads, tells):
         os.close(end)
