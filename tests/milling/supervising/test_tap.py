@@ -172,7 +172,15 @@ def test_the_wire_of_a_device_is_an_argument(
     monkeypatch.setattr(supervisor, "STDOUT", tells)
     monkeypatch.setattr(supervisor.os, "sched_setscheduler", lambda *_: None)
     monkeypatch.setattr(supervisor.os, "setpriority", lambda *_: None)
-    words = ["supervisor.py", str(wire[0]), "5.0", '[["21", 0.0]]', str(device.tap.wire), str(device.tap._onward), CRY.hex()]
+    words = [
+        "supervisor.py",
+        str(wire[0]),
+        "5.0",
+        '[["21", 0.0]]',
+        str(device.tap.wire),
+        str(device.tap._onward),
+        CRY.hex(),
+    ]
     monkeypatch.setattr(sys, "argv", words)
     arm_first(monkeypatch)
     os.write(said, b"A\n")
