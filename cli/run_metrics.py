@@ -65,7 +65,7 @@ class RunMetrics:
         self._asked = counter("permissions", "Bites asked for, by the answer", "answer")
         self._faults = counter("faults", "Faults and what was latched", "kind")
         self._pauses = counter("pauses", "Times that the drill left the bone for want of a fresh frame")
-        self._late_s = counter("loop_late_seconds", "Of silences of the loop longer than 50 ms, summed")
+        self._late_s = counter("loop_late_seconds", "Of silences of the loop in the bone longer than 50 ms, summed")
         self._period = Histogram(
             "mill_loop_period_seconds", "From one bite asked for to the next, while milling",
             buckets=PERIODS_S, registry=registry,

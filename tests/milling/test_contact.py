@@ -59,6 +59,8 @@ class Drill(Spindle):
         self.stage, self.bone_z, self.noise = stage, bone_z, noise
         self.drift_per_s = 0.0
         self.softness: float | None = None
+        self.whim_z_mm = (0.0, 0.0)
+        """Where the torque has a whim of 0.009."""
         self.rng = np.random.default_rng(1)
         self.deepest = float("inf")
 
@@ -70,6 +72,7 @@ class Drill(Spindle):
         touch = 0.05 if self.softness is None else self.softness * (height - z)
         load = touch if going_down and z < height else 0.0
         self.deepest = min(self.deepest, z - height)
+        load += 0.009 if self.whim_z_mm[0] < z < self.whim_z_mm[1] else 0.0
         idle = 0.08 + self.drift_per_s * self.stage.clock.now_s()
         return SpindleStatus(RPM, idle + load + self.noise * self.rng.normal() / 4, None, self.stage.clock.now_s())
 
@@ -136,6 +139,14 @@ def test_bone_that_is_met_softly_is_not_learned_as_air(sigma: float, softness: f
         search.find_all([(0.0, 0.0)], [0.2], [0.0], lambda *_: None)
         deepest_mm.append(drill.deepest)
     assert deepest_mm[1] > deepest_mm[0] - 0.5 * sigma / softness - 3 * STEP_MM
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3, 4])
+def test_a_whim_of_some_steps_in_the_air_is_no_contact_and_four_are(steps: int) -> None:
+    search, drill = finder(0.0)
+    drill.noise, drill.whim_z_mm = 0.0, (0.1 - (steps - 0.5) * STEP_MM, 0.105 + STEP_MM)
+    found = search.find_all([(0.0, 0.0)], [0.2], [0.0], lambda *_: None)[0]
+    assert found == pytest.approx(0.1 if steps == 4 else 0.0, abs=1.5 * STEP_MM)
 
 
 def test_air_that_takes_ever_more_is_no_air() -> None:
